@@ -1,0 +1,61 @@
+"""Files are written whole or not at all, and read with an error that names the file."""
+
+import json
+import os
+import tempfile
+from pathlib import Path
+
+from .errors import CorruptFileError
+
+
+def write_whole(path, content):
+    """Write text or bytes so that a reader sees the old file or the new one, never a part.
+
+    Parameters
+    ----------
+    path : str or Path
+        Missing parent folders are made.
+    content : str or bytes
+        Text is written as UTF-8 with Unix line ends.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    data = content.encode() if isinstance(content, str) else content
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name + ".")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise
+
+
+def write_json(path, value, indent=None):
+    """Write `value` as JSON whose numbers read back to the same floats; NaN and infinity are refused."""
+    write_whole(path, json.dumps(value, indent=indent, allow_nan=False) + "\n")
+
+
+def read_json(path, format):
+    """Read a JSON file of this package.
+
+    Parameters
+    ----------
+    path : str or Path
+    format : str
+        What the file's key "format" has to say.
+
+    Raises
+    ------
+    CorruptFileError
+        If the file is not JSON (a truncated file is not) or says another format.
+    """
+    try:
+        value = json.loads(Path(path).read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise CorruptFileError(f"{path} is not valid JSON ({error}): restore or write it again") from error
+    found = value.get("format") if isinstance(value, dict) else None
+    if found != format:
+        raise CorruptFileError(f"{path} has the format {found!r}, but {format!r} is needed")
+    return value

@@ -1,0 +1,191 @@
+"""The closed loop x+ = f_PWA(x, Phi(x)) + d (eq. CLSystem of [Teichrib2025])."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .checks import real_array, require_columns
+from .network import MaxoutNetwork
+from .system import PWASystem
+
+OUTSIDE = 1e-7  # a state this far from every region counts as outside X (units of x and u)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A piecewise-affine system under a maxout network.
+
+    Parameters
+    ----------
+    system : PWASystem
+    network : MaxoutNetwork or torch module
+        A torch module is imported by `MaxoutNetwork.from_torch`. Phi(x) must lie in U for every x in X
+        (Sec. II.A); the engines check this exactly, here it is tried at some points.
+
+    Raises
+    ------
+    ValueError
+        If sizes do not match or Phi leaves U.
+    """
+
+    system: PWASystem
+    network: MaxoutNetwork
+
+    def __post_init__(self):
+        if not isinstance(self.network, MaxoutNetwork):
+            object.__setattr__(self, "network", MaxoutNetwork.from_torch(self.network))
+        net, system = self.network, self.system
+        if net.input_size != system.state_size:
+            raise ValueError(f"the network has {net.input_size} inputs, but x has {system.state_size} entries")
+        if net.output_size != system.input_size:
+            raise ValueError(f"the network has {net.output_size} outputs, but u has {system.input_size} entries")
+        require_inputs(self, system.state_set.sample(np.random.default_rng(0), 200))
+
+    def with_disturbance(self, disturbance):
+        """The same loop with other disturbance sets (one Polytope, or one a mode)."""
+        return replace(self, system=self.system.with_disturbance(disturbance))
+
+    def step(self, x, d=None):
+        """One step of the loop.
+
+        Parameters
+        ----------
+        x : array (n,) or (N, n)
+            States in X. On a boundary that modes share, the first of them is taken.
+        d : array like x, or None
+            Disturbance; None is 0.
+
+        Returns
+        -------
+        array (n,) or (N, n)
+
+        Raises
+        ------
+        ValueError
+            If a state lies outside X.
+        """
+        x = np.asarray(x, float)
+        require_columns(x, self.system.state_size, "x", "the state's size")
+        states = np.atleast_2d(x)
+        outside = self._outside(states)
+        if outside.any():
+            raise ValueError(f"x = {states[outside][0].tolist()} lies outside the state set; the dynamics end there")
+        after = self._advance(states, self._modes(states)) + (0.0 if d is None else np.asarray(d, float))
+        return after.reshape(x.shape)
+
+    def simulate(self, x0, steps, disturbances=None):
+        """Trajectories of the loop.
+
+        Parameters
+        ----------
+        x0 : array (n,) or (N, n)
+        steps : int
+        disturbances : None, numpy.random.Generator, or array (steps, n) or (N, steps, n)
+            None is the nominal loop; a generator draws from D of the current mode at every step.
+
+        Returns
+        -------
+        array (steps + 1, n) or (N, steps + 1, n)
+            NaN from the first step after a state left X.
+        """
+        x0 = np.asarray(x0, float)
+        require_columns(x0, self.system.state_size, "x0", "the state's size")
+        states = np.atleast_2d(x0)
+        if disturbances is not None and not isinstance(disturbances, np.random.Generator):
+            disturbances = np.broadcast_to(
+                real_array(disturbances, "disturbances", np.ndim(disturbances)),
+                (*states.shape[:1], steps, states.shape[1]),
+            )
+        trajectory = np.full((len(states), steps + 1, states.shape[1]), np.nan)
+        trajectory[:, 0] = states
+        for k in range(steps):
+            alive = np.flatnonzero(~self._outside(trajectory[:, k]))
+            now = trajectory[alive, k]
+            modes = self._modes(now)
+            if disturbances is None:
+                d = 0.0
+            elif isinstance(disturbances, np.random.Generator):
+                d = self._draw(modes, disturbances)
+            else:
+                d = disturbances[alive, k]
+            trajectory[alive, k + 1] = self._advance(now, modes) + d
+        return trajectory.reshape(*x0.shape[:-1], steps + 1, -1)
+
+    def equilibrium(self, start=None, steps=500):
+        """A fixed point x = f_PWA(x, Phi(x)) of the nominal loop.
+
+        Parameters
+        ----------
+        start : array (n,) or None
+            Where the search begins; None is the middle of X.
+        steps : int
+            Nominal steps towards the fixed point before it is solved for.
+
+        Returns
+        -------
+        array (n,)
+
+        Raises
+        ------
+        ValueError
+            If the nominal trajectory leaves X or settles at no fixed point (it may run into a cycle).
+
+        Notes
+        -----
+        Simulates, then solves (I - A - B K) x = B g + p on the affine piece that was reached, and
+        confirms the solution by one step of the loop.
+        """
+        start = self.system.state_set.chebyshev()[0] if start is None else np.asarray(start, float)
+        x = self.simulate(start, steps)[-1]
+        if np.isnan(x).any():
+            raise ValueError(f"the nominal trajectory from {start.tolist()} leaves the state set; start elsewhere")
+        mode = self.system.modes[self._modes(x[None])[0]]
+        K, g = self.network.affine_piece(x)
+        candidates = [x]
+        try:
+            candidates.insert(0, np.linalg.solve(np.eye(len(x)) - mode.A - mode.B @ K, mode.B @ g + mode.p))
+        except np.linalg.LinAlgError:
+            pass
+        for candidate in candidates:
+            if not self._outside(candidate[None])[0] and np.abs(self.step(candidate) - candidate).max() < 1e-9:
+                return candidate
+        raise ValueError(
+            f"no equilibrium was found from {start.tolist()}: after {steps} steps the loop moves from "
+            f"{x.tolist()} to {self.step(x).tolist()}"
+        )
+
+    def _outside(self, x):
+        return ~(np.isfinite(x).all(axis=-1) & self.system.state_set.contains(np.nan_to_num(x), tol=OUTSIDE))
+
+    def _modes(self, x):
+        """Index of the first mode whose region contains (x, Phi(x)) for x (N, n); the nearest if rounding hid it."""
+        return self.system.violation(x, self.network(x)).argmin(axis=-1) if len(x) else np.zeros(0, int)
+
+    def _advance(self, x, modes):
+        """Nominal successors of states (N, n) in the given modes (N,)."""
+        u, after = self.network(x), np.empty_like(x)
+        for i, mode in enumerate(self.system.modes):
+            chosen = modes == i
+            after[chosen] = mode.successor(x[chosen], u[chosen])
+        return after
+
+    def _draw(self, modes, rng):
+        """One random disturbance for each entry of `modes`, from its mode's set."""
+        d = np.empty((len(modes), self.system.state_size))
+        for i in np.unique(modes):
+            chosen = modes == i
+            d[chosen] = self.system.modes[i].disturbance.sample(rng, int(chosen.sum()))
+        return d
+
+
+def require_inputs(loop, states, tol=1e-9):
+    """Raise ValueError if Phi leaves U at one of `states` (N, n); `tol` in units of u, for rounding."""
+    U = loop.system.input_set
+    inputs = loop.network(states)
+    excess = (inputs @ U.H.T - U.h).max(axis=-1)
+    worst = int(np.argmax(excess))
+    if excess[worst] > tol:
+        raise ValueError(
+            f"the network leaves the input set by {excess[worst]:.3g}: at x = {states[worst].tolist()} it gives "
+            f"u = {inputs[worst].tolist()}; use network.saturate(lower, upper)"
+        )

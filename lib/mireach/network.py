@@ -1,0 +1,260 @@
+"""Maxout networks (eqs. NN and maxout of [Teichrib2025]); ReLU and leaky ReLU are special cases."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .checks import real_array, require_columns
+from .errors import CorruptFileError
+from .files import read_json, write_json
+
+FORMAT = "mireach-network/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One hidden layer q = g(W y + b): the l-th output is the largest of its `pool` channels (eq. maxout).
+
+    Parameters
+    ----------
+    weight : array (pool * w, w_previous)
+        Rows pool * l, ..., pool * (l + 1) - 1 are the channels of neuron l (the paper's set A_l).
+    bias : array (pool * w,)
+    pool : int
+        Channels a neuron, the paper's p_i.
+    """
+
+    weight: np.ndarray
+    bias: np.ndarray
+    pool: int
+
+    def __post_init__(self):
+        object.__setattr__(self, "weight", real_array(self.weight, "weight", 2))
+        object.__setattr__(self, "bias", real_array(self.bias, "bias", 1))
+        if len(self.weight) != len(self.bias):
+            raise ValueError(f"weight has {len(self.weight)} rows but bias has {len(self.bias)} entries")
+        if isinstance(self.pool, bool) or self.pool != int(self.pool) or self.pool < 1:
+            raise ValueError(f"pool must be a whole number of at least 1; got {self.pool!r}")
+        object.__setattr__(self, "pool", int(self.pool))
+        if not len(self.bias) or len(self.bias) % self.pool:
+            raise ValueError(f"weight has {len(self.bias)} rows, which do not divide into groups of pool = {self.pool}")
+
+    @property
+    def width(self):
+        """Neurons, the paper's w_i."""
+        return len(self.bias) // self.pool
+
+    def channels(self, y):
+        """W y + b by neuron: (..., w_previous) -> (..., w, pool)."""
+        z = y @ self.weight.T + self.bias
+        return z.reshape(*z.shape[:-1], self.width, self.pool)
+
+
+@dataclass(frozen=True, eq=False)
+class MaxoutNetwork:
+    """Phi = f_(l+1) o g_l o f_l o ... o g_1 o f_1 (eq. NN).
+
+    Parameters
+    ----------
+    hidden : sequence of Layer
+        May be empty: an affine controller.
+    weight : array (m, w_l)
+    bias : array (m,)
+        The affine output f_(l+1).
+
+    Raises
+    ------
+    ValueError
+        If the sizes of consecutive layers do not match, or an entry is not finite.
+    """
+
+    hidden: tuple
+    weight: np.ndarray
+    bias: np.ndarray
+
+    def __post_init__(self):
+        object.__setattr__(self, "hidden", tuple(self.hidden))
+        object.__setattr__(self, "weight", real_array(self.weight, "output weight", 2))
+        object.__setattr__(self, "bias", real_array(self.bias, "output bias", 1))
+        if len(self.weight) != len(self.bias):
+            raise ValueError(f"output weight has {len(self.weight)} rows but output bias {len(self.bias)} entries")
+        for number, (layer, after) in enumerate(zip(self.hidden, self.hidden[1:]), start=2):
+            require_columns(after.weight, layer.width, f"weight of hidden layer {number}", "the neurons before it")
+        if self.hidden:
+            require_columns(self.weight, self.hidden[-1].width, "output weight", "the neurons before it")
+
+    def __repr__(self):
+        shape = ", ".join(f"{layer.width}x{layer.pool}" for layer in self.hidden)
+        return f"MaxoutNetwork({self.input_size} -> [{shape}] -> {self.output_size}, {self.binaries} binaries)"
+
+    def __call__(self, x):
+        """Phi(x).
+
+        Parameters
+        ----------
+        x : array (n,) or (N, n)
+
+        Returns
+        -------
+        array (m,) or (N, m)
+        """
+        y = np.asarray(x, float)
+        require_columns(y, self.input_size, "x", "the network's inputs")
+        for layer in self.hidden:
+            y = layer.channels(y).max(axis=-1)
+        return y @ self.weight.T + self.bias
+
+    @property
+    def input_size(self):
+        """n, the number of inputs."""
+        return (self.hidden[0].weight if self.hidden else self.weight).shape[1]
+
+    @property
+    def output_size(self):
+        """m, the number of outputs."""
+        return len(self.bias)
+
+    @property
+    def binaries(self):
+        """Binary variables of eq. MI_Constraints_NN: the sum of p_i w_i over the hidden layers."""
+        return sum(len(layer.bias) for layer in self.hidden)
+
+    def affine_piece(self, x):
+        """K (m, n) and g (m,) with Phi = K x + g on the piece of x (the first winner where channels tie)."""
+        K, g = np.eye(self.input_size), np.zeros(self.input_size)
+        for layer in self.hidden:
+            winner = layer.channels(K @ np.asarray(x, float) + g).argmax(axis=-1)
+            rows = np.arange(layer.width) * layer.pool + winner
+            K, g = layer.weight[rows] @ K, layer.weight[rows] @ g + layer.bias[rows]
+        return self.weight @ K, self.weight @ g + self.bias
+
+    # -- new networks -----------------------------------------------------------------------------
+
+    def saturate(self, lower, upper):
+        """The network whose output is projected onto the box [lower, upper], exactly.
+
+        Two maxout layers with two channels a neuron are added, v = max(z, lower) and
+        y = max(-v, -upper), and the output is -y = min(max(z, lower), upper). Their weights are 0, 1
+        and -1, so that no rounding moves an output out of the box.
+
+        Parameters
+        ----------
+        lower, upper : array (m,) or float
+
+        Raises
+        ------
+        ValueError
+            If lower > upper somewhere.
+        """
+        m = self.output_size
+        lower = real_array(np.broadcast_to(lower, m), "lower", 1)
+        upper = real_array(np.broadcast_to(upper, m), "upper", 1)
+        if (lower > upper).any():
+            raise ValueError(f"lower must not exceed upper; got {lower} and {upper}")
+        raise_up = Layer(
+            np.stack([self.weight, np.zeros_like(self.weight)], axis=1).reshape(2 * m, -1),
+            np.stack([self.bias, lower], axis=1).ravel(),
+            pool=2,
+        )
+        cut_off = Layer(
+            np.stack([-np.eye(m), np.zeros((m, m))], axis=1).reshape(2 * m, m) + 0.0,
+            np.stack([np.zeros(m), -upper], axis=1).ravel() + 0.0,
+            pool=2,
+        )
+        return MaxoutNetwork((*self.hidden, raise_up, cut_off), -np.eye(m) + 0.0, np.zeros(m))
+
+    @staticmethod
+    def from_torch(module):
+        """Import a torch.nn.Sequential of Linear, ReLU, LeakyReLU and this package's Maxout.
+
+        ReLU is the maxout of (z, 0), leaky ReLU that of (z, s z). Nested Sequentials, Identity,
+        Dropout (as in evaluation) and several Linear in a row are understood.
+
+        Parameters
+        ----------
+        module : torch.nn.Module
+            Weights are taken as they are, in double precision.
+
+        Raises
+        ------
+        ValueError
+            If a module is of another kind, or the sequence does not begin with Linear.
+        """
+        hidden, weight, bias = [], None, None
+        for part in _flatten(module):
+            kind = type(part).__name__
+            if kind in ("Identity", "Dropout"):
+                continue
+            if kind == "Linear":
+                W, b = _linear(part)
+                if weight is None:
+                    weight, bias = W, b
+                else:
+                    require_columns(W, len(weight), f"weight of {part}", "the values before it")
+                    weight, bias = W @ weight, W @ bias + b
+                continue
+            if weight is None:
+                raise ValueError(f"{kind} comes before the first Linear; begin with torch.nn.Linear")
+            if kind == "Maxout":
+                hidden.append(Layer(weight, bias, part.pool))
+            elif kind in ("ReLU", "LeakyReLU"):
+                slope = 0.0 if kind == "ReLU" else part.negative_slope
+                if not 0 <= slope <= 1:
+                    raise ValueError(f"LeakyReLU has negative_slope {slope}; only 0 to 1 is a maximum of (z, s z)")
+                pair = np.stack([weight, slope * weight], axis=1).reshape(-1, weight.shape[1])
+                hidden.append(Layer(pair, np.stack([bias, slope * bias], axis=1).ravel(), pool=2))
+            else:
+                raise ValueError(
+                    f"cannot import {kind}: use Linear, ReLU, LeakyReLU, Maxout, Dropout or Identity in a Sequential"
+                )
+            weight, bias = np.eye(hidden[-1].width), np.zeros(hidden[-1].width)
+        if weight is None:
+            raise ValueError("the module holds no Linear layer, so it has no weights to import")
+        return MaxoutNetwork(hidden, weight, bias)
+
+    # -- files ------------------------------------------------------------------------------------
+
+    def to_dict(self):
+        """The network as written to network.json (format mireach-network/1)."""
+        return {
+            "format": FORMAT,
+            "hidden": [
+                {"weight": layer.weight.tolist(), "bias": layer.bias.tolist(), "pool": layer.pool}
+                for layer in self.hidden
+            ],
+            "output": {"weight": self.weight.tolist(), "bias": self.bias.tolist()},
+        }
+
+    def save(self, path):
+        """Write the network as JSON that reads back to the same floats."""
+        write_json(path, self.to_dict())
+
+    @staticmethod
+    def load(path):
+        """Read a network that `save` wrote.
+
+        Raises
+        ------
+        CorruptFileError
+            If the file is truncated, of another format, or holds sizes or numbers no network has.
+        """
+        value = read_json(path, FORMAT)
+        try:
+            hidden = [Layer(part["weight"], part["bias"], part["pool"]) for part in value["hidden"]]
+            return MaxoutNetwork(hidden, value["output"]["weight"], value["output"]["bias"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise CorruptFileError(f"{path} holds no network: {type(error).__name__}: {error}") from error
+
+
+def _flatten(module):
+    """The parts of nested Sequentials, in order."""
+    if type(module).__name__ != "Sequential":
+        return [module]
+    return [part for child in module for part in _flatten(child)]
+
+
+def _linear(part):
+    """Weight and bias of a torch Linear as float64 arrays."""
+    weight = part.weight.detach().cpu().double().numpy()
+    bias = np.zeros(len(weight)) if part.bias is None else part.bias.detach().cpu().double().numpy()
+    return real_array(weight, f"weight of {part}", 2), real_array(bias, f"bias of {part}", 1)

@@ -1,0 +1,233 @@
+"""Piecewise-affine systems with bounded disturbances (eqs. SysWithDis, HRep, dinDi), and nonlinear systems."""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from .checks import real_array, require_columns
+from .polytope import Polytope
+
+GAP = 1e-7  # radius of the smallest ball that counts as a gap or an overlap of regions (units of x and u)
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """x+ = A x + B u + p + d, d in D, wherever (x, u) lies in the closed region P (eqs. SysWithDis, dinDi).
+
+    Parameters
+    ----------
+    A : array (n, n)
+    B : array (n, m)
+    p : array (n,)
+    region : Polytope
+        P^(i) in R^(n+m), the rows H^(i) (x, u) <= h^(i) of eq. HRep. It need not repeat the limits of
+        x and u: only its part in X x U counts.
+    disturbance : Polytope or None
+        D^(i) in R^n: a box, a segment, a single point, any polytope. None is the point 0.
+
+    Raises
+    ------
+    ValueError
+        If sizes do not match, or the disturbance set is empty or unbounded.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    p: np.ndarray
+    region: Polytope
+    disturbance: Polytope | None = None
+
+    def __post_init__(self):
+        for name, ndim in (("A", 2), ("B", 2), ("p", 1)):
+            object.__setattr__(self, name, real_array(getattr(self, name), name, ndim))
+        n = len(self.A)
+        require_columns(self.A, n, "A", "for A is square")
+        require_columns(self.p, n, "p", "the rows of A")
+        if len(self.B) != n:
+            raise ValueError(f"B has {len(self.B)} rows but A has {n}; both give the next state")
+        if self.disturbance is None:
+            object.__setattr__(self, "disturbance", Polytope.box(np.zeros(n), np.zeros(n)))
+        if self.region.dimension != n + self.B.shape[1]:
+            raise ValueError(
+                f"region lies in R^{self.region.dimension}, but (x, u) has {n} + {self.B.shape[1]} entries; "
+                "a region of x alone has zero columns for u"
+            )
+        if self.disturbance.dimension != n:
+            raise ValueError(f"disturbance lies in R^{self.disturbance.dimension}, but the state has {n} entries")
+        if self.disturbance.is_empty:
+            raise ValueError("disturbance is an empty set; use None for no disturbance")
+        if not self.disturbance.is_bounded:
+            raise ValueError("disturbance is unbounded; no robustly invariant set can be bounded then")
+
+    def successor(self, x, u, d=0.0):
+        """A x + B u + p + d, for (n,) or (N, n)."""
+        return x @ self.A.T + u @ self.B.T + self.p + d
+
+
+@dataclass(frozen=True, eq=False)
+class PWASystem:
+    """The modes of a piecewise-affine system and its constraints X and U.
+
+    Parameters
+    ----------
+    modes : sequence of Mode
+        Closed regions that cover X x U; they may share boundaries, and there every mode that contains
+        the point counts.
+    state_set : Polytope
+        X in R^n.
+    input_set : Polytope
+        U in R^m.
+
+    Raises
+    ------
+    ValueError
+        If sizes do not match, X or U is empty or unbounded, or the regions leave a gap in X x U or
+        overlap; the message gives a point.
+
+    Warns
+    -----
+    UserWarning
+        If the region of a mode does not meet X x U.
+    """
+
+    modes: tuple
+    state_set: Polytope
+    input_set: Polytope
+
+    def __post_init__(self):
+        object.__setattr__(self, "modes", tuple(self.modes))
+        if not self.modes:
+            raise ValueError("modes is empty; a system needs at least one mode")
+        n, m = self.modes[0].B.shape
+        for number, mode in enumerate(self.modes, start=1):
+            if mode.B.shape != (n, m):
+                raise ValueError(f"mode {number} has B of shape {mode.B.shape}, but mode 1 has {(n, m)}")
+        for name, value, size in (("state_set", self.state_set, n), ("input_set", self.input_set, m)):
+            if value.dimension != size:
+                raise ValueError(f"{name} lies in R^{value.dimension}, but the modes need R^{size}")
+            if value.is_empty:
+                raise ValueError(f"{name} is empty; the system has nowhere to be")
+            if not value.is_bounded:
+                raise ValueError(f"{name} is unbounded; cells and big-M need a bounded set, such as a large box")
+        _check_partition(tuple(mode.region for mode in self.modes), self.state_set, self.input_set)
+
+    @property
+    def state_size(self):
+        """n."""
+        return self.modes[0].B.shape[0]
+
+    @property
+    def input_size(self):
+        """m."""
+        return self.modes[0].B.shape[1]
+
+    def with_disturbance(self, disturbance):
+        """The same system with other disturbance sets.
+
+        Parameters
+        ----------
+        disturbance : Polytope or sequence of Polytope
+            One for all modes, or one a mode.
+        """
+        sets = [disturbance] * len(self.modes) if isinstance(disturbance, Polytope) else list(disturbance)
+        if len(sets) != len(self.modes):
+            raise ValueError(f"got {len(sets)} disturbance sets for {len(self.modes)} modes; give one, or one a mode")
+        return replace(self, modes=[replace(mode, disturbance=D) for mode, D in zip(self.modes, sets)])
+
+    def violation(self, x, u):
+        """How far (x, u) is from each mode's region: max over rows of H (x, u) - h, at least 0.
+
+        Parameters
+        ----------
+        x : array (N, n)
+        u : array (N, m)
+
+        Returns
+        -------
+        array (N, s)
+            0 where the closed region contains the point.
+        """
+        point = np.concatenate([x, u], axis=-1)
+        return np.stack(
+            [np.maximum((point @ mode.region.H.T - mode.region.h).max(axis=-1), 0) for mode in self.modes], axis=-1
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearSystem:
+    """x+ = f(x, u) (eq. f) with constraints x in X and u in U.
+
+    Parameters
+    ----------
+    f : callable
+        f(x, u) -> n numbers; x and u are indexable. Arithmetic, whole powers and numpy's exp, log,
+        sin, cos, tanh and sqrt may be used, so that f can be evaluated on numbers, arrays and balls.
+    state_set : Polytope
+    input_set : Polytope
+    """
+
+    f: Callable
+    state_set: Polytope
+    input_set: Polytope
+
+    def __call__(self, x, u):
+        """f at (n,) and (m,), or at (N, n) and (N, m)."""
+        x, u = np.asarray(x, float), np.asarray(u, float)
+        require_columns(x, self.state_set.dimension, "x", "the state's size")
+        require_columns(u, self.input_set.dimension, "u", "the input's size")
+        values = self.f(np.moveaxis(x, -1, 0), np.moveaxis(u, -1, 0))
+        return np.stack(np.broadcast_arrays(*values), axis=-1)
+
+
+@lru_cache(maxsize=64)
+def _check_partition(regions, state_set, input_set):
+    """Raise ValueError unless the regions cover X x U without overlap (the text after eq. HRep)."""
+    domain, n = state_set.product(input_set), state_set.dimension
+    parts = [domain & region for region in regions]
+    for number, part in enumerate(parts, start=1):
+        if part.is_empty:
+            warnings.warn(f"the region of mode {number} does not meet X x U; the mode is never used", stacklevel=4)
+    boxes = [None if part.is_empty else part.bounding_box() for part in parts]
+    for j, second in enumerate(boxes):
+        for i, first in enumerate(boxes[:j]):
+            if (
+                first is None
+                or second is None
+                or (np.minimum(first[1], second[1]) - np.maximum(first[0], second[0])).min() <= GAP
+            ):
+                continue
+            centre, radius = (parts[i] & parts[j]).chebyshev()
+            if radius > GAP:
+                raise ValueError(
+                    f"the regions of modes {i + 1} and {j + 1} overlap around {_point(centre, n)} "
+                    f"(a ball of radius {radius:.3g}); regions may share boundaries only"
+                )
+    gap = _uncovered(domain, regions)
+    if gap is not None:
+        raise ValueError(f"no region contains {_point(gap, n)}, which lies in X x U; the regions must cover all of it")
+
+
+def _uncovered(P, regions):
+    """A point of P with a ball around it that no region covers, or None (set difference, row by row)."""
+    centre, radius = P.chebyshev()
+    if radius <= GAP:
+        return None
+    for number, region in enumerate(regions):
+        if (P & region).chebyshev()[1] <= GAP:
+            continue
+        inside = P
+        for row, offset in zip(region.H, region.h):
+            gap = _uncovered(inside & Polytope(-row[None], [-offset]), regions[number + 1 :])
+            if gap is not None:
+                return gap
+            inside = inside & Polytope(row[None], [offset])
+        return None
+    return centre
+
+
+def _point(point, n):
+    """x and u of a point of R^(n+m), for messages."""
+    return f"x = {np.round(point[:n], 6).tolist()}, u = {np.round(point[n:], 6).tolist()}"
