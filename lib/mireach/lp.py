@@ -9,6 +9,12 @@ from .errors import SolverError
 
 TOLERANCE = 1e-9  # HiGHS keeps constraints and reduced costs to within this, in units of the row
 
+CONCLUSIVE = (
+    highspy.HighsModelStatus.kOptimal,
+    highspy.HighsModelStatus.kInfeasible,
+    highspy.HighsModelStatus.kUnbounded,
+)
+
 
 @dataclass(frozen=True)
 class Optimum:
@@ -98,6 +104,10 @@ class LinearProgram:
         self.set_objective(columns, coefficients)
         self.highs.run()
         status = self.highs.getModelStatus()
+        if status not in CONCLUSIVE:  # the basis of the last objective can be a poor start: begin afresh
+            self.highs.clearSolver()
+            self.highs.run()
+            status = self.highs.getModelStatus()
         if status == highspy.HighsModelStatus.kOptimal:
             point = np.array(self.highs.getSolution().col_value)
             return Optimum(float(self.highs.getInfo().objective_function_value), point)

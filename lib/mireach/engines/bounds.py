@@ -1,0 +1,44 @@
+"""Sound bounds of affine functions over a relaxation: what every big-M and every pruned binary rests on."""
+
+import numpy as np
+
+from ..errors import SolverError
+
+METHODS = ("interval", "lp")
+SAFETY = 1e-8  # added to what an LP solver calls the maximum, relative to 1 + its size; HiGHS is asked for 1e-9
+
+
+def upper_bound(lp, columns, coefficients, constant=0.0, method="lp"):
+    """A number that coefficients x[columns] + constant nowhere exceeds.
+
+    Parameters
+    ----------
+    lp : LinearProgram
+        A relaxation: everything that may happen satisfies its constraints.
+    columns, coefficients : array (k,)
+    constant : float
+    method : "interval" or "lp"
+        From the bounds of the single variables, or from all constraints by one LP. The LP is left out
+        where intervals already show that the sign is not positive.
+
+    Returns
+    -------
+    float
+        -inf if the relaxation holds no point; never an attained value, for `SAFETY` is added.
+    """
+    coefficients = np.asarray(coefficients, float)
+    used = coefficients != 0
+    ends = np.maximum(coefficients[used] * lp.lower[columns][used], coefficients[used] * lp.upper[columns][used])
+    interval = ends.sum() + constant + 1e-12 * (np.abs(ends).sum() + abs(constant))
+    if method == "interval" or interval <= 0 or not used.any():
+        return interval
+    try:
+        tight = lp.maximize(columns, coefficients).value + constant
+    except SolverError:  # flat sets can leave an LP solver undecided; the interval holds in any case
+        return interval
+    return min(interval, tight + SAFETY * (1 + abs(tight))) if tight > -np.inf else tight
+
+
+def lower_bound(lp, columns, coefficients, constant=0.0, method="lp"):
+    """A number below which coefficients x[columns] + constant never falls; as `upper_bound`."""
+    return -upper_bound(lp, columns, -np.asarray(coefficients, float), -constant, method)

@@ -1,0 +1,86 @@
+"""What every engine answers with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..checks import real_array, require_columns
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """A trajectory of the closed loop that attains a value.
+
+    Attributes
+    ----------
+    states : array (steps + 1, n)
+        From a state of F to the state in which the value is attained.
+    inputs : array (steps, m)
+        Phi of the states.
+    modes : array (steps,) of int
+        The mode that acts at each step, counted from 0; it matters where regions share a boundary.
+    disturbances : array (steps, n)
+    """
+
+    states: np.ndarray
+    inputs: np.ndarray
+    modes: np.ndarray
+    disturbances: np.ndarray
+
+    def __str__(self):
+        x, u, d = (np.round(part, 6).tolist() for part in (self.states, self.inputs, self.disturbances))
+        return "; ".join(
+            f"x = {x[k]}, u = {u[k]}, mode {self.modes[k] + 1}, d = {d[k]} -> {x[k + 1]}" for k in range(len(u))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """The support function of a reachable set along k directions, from both sides.
+
+    Attributes
+    ----------
+    value : array (k,)
+        Attained by the witness; -inf where the reachable set is empty.
+    bound : array (k,)
+        Upper bound; no trajectory exceeds it. Sets are built from it.
+    witness : tuple of Witness or None
+        One a direction; None where there is no trajectory at all.
+    """
+
+    value: np.ndarray
+    bound: np.ndarray
+    witness: tuple
+
+
+def empty_support(count):
+    """The support function of the empty set along `count` directions."""
+    nothing = np.full(count, -np.inf)
+    return Support(nothing, nothing, (None,) * count)
+
+
+def replay(loop, x0, modes, disturbances):
+    """The trajectory from x0 under given modes (steps,) and disturbances (steps, n), as a Witness."""
+    states, inputs = [np.asarray(x0, float)], []
+    for i, d in zip(modes, disturbances):
+        inputs.append(loop.network(states[-1]))
+        states.append(loop.system.modes[i].successor(states[-1], inputs[-1], d))
+    return Witness(np.array(states), np.array(inputs), np.asarray(modes, int), np.asarray(disturbances, float))
+
+
+def checked_query(loop, F, V, steps):
+    """V as an array (k, n), after all arguments of a query have been looked at.
+
+    Raises
+    ------
+    ValueError
+        If F or V do not fit the state, F is unbounded beyond X, or steps is not a positive whole number.
+    """
+    n = loop.system.state_size
+    V = real_array(V, "V", 2)
+    require_columns(V, n, "V", "the state's size")
+    if F.dimension != n:
+        raise ValueError(f"F lies in R^{F.dimension}, but the state has {n} entries")
+    if isinstance(steps, bool) or steps != int(steps) or steps < 1:
+        raise ValueError(f"steps must be a whole number of at least 1; got {steps!r}")
+    return V

@@ -1,0 +1,110 @@
+"""Many convex polygons at once, cut by half-planes in array operations."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Polygons:
+    """N convex polygons of the plane; segments and single points are legitimate ones.
+
+    Attributes
+    ----------
+    points : array (T, 2)
+        The vertices of all polygons, one polygon after the other, each in order around it.
+    starts : array (N + 1,) of int
+        Polygon i has the vertices points[starts[i] : starts[i + 1]], at least one.
+    """
+
+    points: np.ndarray
+    starts: np.ndarray
+
+    @staticmethod
+    def of(lists):
+        """Polygons with the given vertices: sequence of arrays (v, 2), none of them empty."""
+        sizes = [len(points) for points in lists]
+        return Polygons(np.concatenate([np.zeros((0, 2)), *lists]), np.concatenate([[0], np.cumsum(sizes, dtype=int)]))
+
+    def __len__(self):
+        return len(self.starts) - 1
+
+    def __getitem__(self, i):
+        """Vertices (v, 2) of polygon i."""
+        return self.points[self.starts[i] : self.starts[i + 1]]
+
+    @cached_property
+    def owner(self):
+        """(T,) index of the polygon that each vertex belongs to."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+    def least(self, values):
+        """Smallest of `values` (T, ...) over the vertices of each polygon: (N, ...)."""
+        return np.minimum.reduceat(values, self.starts[:-1], axis=0) if len(self) else values[:0]
+
+    def largest(self, values):
+        """Largest of `values` (T, ...) over the vertices of each polygon: (N, ...)."""
+        return np.maximum.reduceat(values, self.starts[:-1], axis=0) if len(self) else values[:0]
+
+    def take(self, chosen):
+        """The polygons with the given indices, in that order."""
+        sizes = np.diff(self.starts)[chosen]
+        starts = np.concatenate([[0], np.cumsum(sizes)])
+        rows = np.arange(starts[-1]) + np.repeat(self.starts[:-1][chosen] - starts[:-1], sizes)
+        return Polygons(self.points[rows], starts)
+
+    @staticmethod
+    def join(batches):
+        """All polygons of several batches, one batch after the other."""
+        ends = np.cumsum([0] + [len(batch.points) for batch in batches])
+        starts = [batch.starts[:-1] + end for batch, end in zip(batches, ends)]
+        return Polygons(np.concatenate([batch.points for batch in batches]), np.concatenate([*starts, ends[-1:]]))
+
+    def clip(self, a, b, tol):
+        """The part of each polygon in its half-plane a x <= b.
+
+        Parameters
+        ----------
+        a : array (N, 2)
+        b : array (N,)
+        tol : float
+            A vertex with a x <= b + tol stays where it is, so that a polygon that only touches the
+            half-plane keeps the point or edge in which it does. In units of b.
+
+        Returns
+        -------
+        Polygons
+            Those of which something is left.
+        array of int
+            Which polygons they come from.
+        """
+        excess = np.einsum("ij,ij->i", self.points, a[self.owner]) - b[self.owner]
+        inside = excess <= tol
+        if inside.all():
+            return self, np.arange(len(self))
+        after = np.arange(1, len(self.points) + 1)
+        after[self.starts[1:] - 1] = self.starts[:-1]
+        crossing = np.flatnonzero(inside != inside[after])
+        onward = after[crossing]
+        share = np.clip(excess[crossing] / (excess[crossing] - excess[onward]), 0, 1)
+        cuts = self.points[crossing] + share[:, None] * (self.points[onward] - self.points[crossing])
+        counts = inside.astype(int)
+        counts[crossing] += 1
+        first = np.cumsum(counts) - counts
+        points = np.empty((counts.sum(), 2))
+        points[first[inside]] = self.points[inside]
+        points[first[crossing] + inside[crossing]] = cuts
+        sizes = np.add.reduceat(counts, self.starts[:-1])
+        kept = np.flatnonzero(sizes)
+        return Polygons(points, np.concatenate([[0], np.cumsum(sizes[kept])])), kept
+
+    def rank(self, tol):
+        """Dimension of each polygon, (N,) of 0, 1 or 2; extents up to `tol` (a length) count as none."""
+        length = np.linalg.norm(self.largest(self.points) - self.least(self.points), axis=1)
+        spokes = self.points - self.points[self.starts[:-1]][self.owner]
+        onward = np.arange(1, len(spokes) + 1)
+        onward[self.starts[1:] - 1] = self.starts[:-1]
+        turns = spokes[:, 0] * spokes[onward, 1] - spokes[:, 1] * spokes[onward, 0]
+        area = np.abs(np.add.reduceat(turns, self.starts[:-1])) / 2
+        return (length > tol).astype(int) + (area > tol * length)
