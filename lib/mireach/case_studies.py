@@ -1,91 +1,178 @@
-"""The two systems of Sec. IV of [Teichrib2025]; every number of theirs is written here, once."""
+"""The two case studies of Sec. V of [Teichrib2025], wired: plant, network, loop, templates, data, and its numbers."""
 
-from itertools import pairwise, product
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from .polytope import Polytope
-from .system import Mode, NonlinearSystem, PWASystem
-
-# Case 1: the four modes; the matrix A of each, with the signs s of its region {x : s_i x_i >= 0}.
-PWA_MODES = (
-    ([[-0.04, -0.461], [-0.139, 0.341]], (1, 1)),
-    ([[0.936, 0.323], [0.788, -0.049]], (1, -1)),
-    ([[-0.857, 0.815], [0.491, 0.62]], (-1, -1)),
-    ([[-0.022, 0.644], [0.758, 0.271]], (-1, 1)),
+from .approximation import PWAFit, fit_pwa
+from .datasets import DataSet
+from .loop import ClosedLoop
+from .network import MaxoutNetwork
+from .plants import (
+    INTEGRATOR_DISTURBANCE,
+    INTEGRATOR_INPUT_LIMIT,
+    PWA_DISTURBANCE,
+    PWA_INPUT_LIMIT,
+    chessboard,
+    double_integrator_plant,
+    pwa_plant,
 )
-PWA_B = ((1.0,), (0.0,))
-PWA_STATE_LIMIT, PWA_INPUT_LIMIT = 10.0, 1.0  # |x|_inf and |u|
-PWA_DISTURBANCE = 0.15  # |d|_inf
+from .polytope import Polytope, box_directions, directions
+from .system import NonlinearSystem, PWASystem
 
-# Case 2: x+ = A x + B u + CURVATURE x'x in both components (eq. NL_DI).
-INTEGRATOR_A = ((1.0, 1.0), (0.0, 1.0))
-INTEGRATOR_B = (0.5, 1.0)
-INTEGRATOR_CURVATURE = 0.025
-INTEGRATOR_STATE_LIMIT, INTEGRATOR_INPUT_LIMIT = 6.0, 2.0
+NAMES = ("pwa", "double_integrator")
+SHAPES = {"pwa": {"layers": 3, "width": 3, "pool": 3}, "double_integrator": {"layers": 5, "width": 5, "pool": 5}}
+INPUT_LIMITS = {"pwa": PWA_INPUT_LIMIT, "double_integrator": INTEGRATOR_INPUT_LIMIT}
+PAPER = {
+    "pwa": {
+        "iterations": 1,
+        "safe_set_box": [[-7.3, -10.0], [8.91, 8.52]],
+        "steps": 51,
+        "alpha": 1 + 9e-7,
+        "epsilon": 1e-3,
+        "disturbance_bound": 0.15,
+        "samples": 1000,
+        "starts": [[-7.30, 8.52], [-7.30, -10.0]],
+        "trajectories": 200,
+    },
+    "double_integrator": {
+        "iterations": 19,
+        "steps": 20,
+        "epsilon": 1e-3,
+        "disturbance_bound": 0.1186,
+        "max_error": 0.1186,
+        "regions": 9,
+        "samples": 900,
+        "starts": [[5.5, -1.5]],
+    },
+}
 
 
-def pwa_plant(disturbance_bound=PWA_DISTURBANCE):
-    """The four-mode system of case study 1.
+@dataclass(frozen=True, eq=False)
+class CaseStudy:
+    """One case study, ready to be analysed.
+
+    Attributes
+    ----------
+    name : str
+    system : PWASystem
+        With the disturbance sets of the case.
+    network : MaxoutNetwork
+        Trained by this project; its last two layers saturate it to U.
+    directions : array (8, 2)
+        Template C of the terminal set.
+    safe_directions : array (l, 2)
+        Template C of F_max: (I, -I) for `pwa`, the same 8 directions for `double_integrator`.
+    data : DataSet
+        What the network was trained on.
+    disturbance_bound : float
+        D = {d : |d|_inf <= disturbance_bound}.
+    starts : array (k, 2)
+        The initial states of the paper's figures.
+    epsilon : float
+        Of eq. TerminationFmin.
+    paper : dict
+        The numbers that the paper prints for this case.
+    plant : NonlinearSystem or None
+        The nonlinear system that `system` approximates.
+    fit : PWAFit or None
+        That approximation.
+    """
+
+    name: str
+    system: PWASystem
+    network: MaxoutNetwork
+    directions: np.ndarray
+    safe_directions: np.ndarray
+    data: DataSet
+    disturbance_bound: float
+    starts: np.ndarray
+    epsilon: float
+    paper: dict
+    plant: NonlinearSystem | None = None
+    fit: PWAFit | None = None
+
+    def __post_init__(self):
+        object.__setattr__(self, "loop", ClosedLoop(self.system, self.network))
+
+    def __repr__(self):
+        return f"CaseStudy({self.name!r}, {len(self.system.modes)} modes, {self.network!r})"
+
+
+def case_study(name, network=None):
+    """A case study of the paper.
 
     Parameters
     ----------
-    disturbance_bound : float
-        D = {d : |d|_inf <= disturbance_bound} in every mode, in units of x.
+    name : "pwa" or "double_integrator"
+    network : MaxoutNetwork, torch module or None
+        None is the network that ships with the package.
 
     Returns
     -------
-    PWASystem
-        The regions are the quadrants, closed, and do not depend on u.
+    CaseStudy
+
+    Raises
+    ------
+    ValueError
+        If there is no such case, or the network does not fit it.
+    FileNotFoundError
+        If the data of the package are missing.
+
+    Examples
+    --------
+    >>> case_study("pwa").system.state_size
+    2
     """
-    if not disturbance_bound >= 0:
-        raise ValueError(f"disturbance_bound must be at least 0; got {disturbance_bound}")
-    D = _cube(disturbance_bound, 2)
-    modes = [Mode(A, PWA_B, np.zeros(2), _quadrant(signs), D) for A, signs in PWA_MODES]
-    return PWASystem(modes, _cube(PWA_STATE_LIMIT, 2), _cube(PWA_INPUT_LIMIT, 1))
-
-
-def double_integrator(x, u):
-    """f(x, u) of eq. NL_DI, on anything that can be indexed, added, multiplied and squared."""
-    bend = INTEGRATOR_CURVATURE * (x[0] ** 2 + x[1] ** 2)
-    return tuple(
-        row[0] * x[0] + row[1] * x[1] + gain * u[0] + bend for row, gain in zip(INTEGRATOR_A, INTEGRATOR_B)
+    _require_name(name)
+    if network is None:
+        network = MaxoutNetwork.load(data_file(name, "network.json"))
+    if name == "pwa":
+        bound, system, plant, fit = PWA_DISTURBANCE, pwa_plant(), None, None
+    else:
+        bound, plant, fit = INTEGRATOR_DISTURBANCE, double_integrator_plant(), double_integrator_fit()
+        system = fit.system().with_disturbance(Polytope.box([-bound, -bound], [bound, bound]))
+    eight = directions(8)
+    return CaseStudy(
+        name=name,
+        system=system,
+        network=network if isinstance(network, MaxoutNetwork) else MaxoutNetwork.from_torch(network),
+        directions=eight,
+        safe_directions=box_directions(2) if name == "pwa" else eight,
+        data=DataSet.load(data_file(name, "samples.csv")),
+        disturbance_bound=bound,
+        starts=np.array(PAPER[name]["starts"]),
+        epsilon=PAPER[name]["epsilon"],
+        paper=PAPER[name],
+        plant=plant,
+        fit=fit,
     )
 
 
-def double_integrator_plant():
-    """The nonlinear double integrator of case study 2 (eq. NL_DI), a NonlinearSystem."""
-    return NonlinearSystem(double_integrator, _cube(INTEGRATOR_STATE_LIMIT, 2), _cube(INTEGRATOR_INPUT_LIMIT, 1))
+def double_integrator_fit(cells=3, **options):
+    """The paper's fit of the double integrator on a chessboard of cells x cells regions (a PWAFit).
 
-
-def chessboard(state_set, input_set, cells=3):
-    """Regions that divide X into a regular pattern of boxes, each times U.
-
-    Parameters
-    ----------
-    state_set, input_set : Polytope
-        Bounded. A state set that is not a box is covered by the pattern of its bounding box.
-    cells : int
-        Boxes along each axis of x.
-
-    Returns
-    -------
-    list of Polytope
-        cells^n regions in (x, u), the last axis of x running fastest; neighbours share their edge as
-        the same float.
+    Options are those of `fit_pwa`.
     """
-    if cells != int(cells) or cells < 1:
-        raise ValueError(f"cells must be a whole number of at least 1; got {cells}")
-    lower, upper = state_set.bounding_box()
-    axes = [list(pairwise(np.linspace(low, high, int(cells) + 1))) for low, high in zip(lower, upper)]
-    return [Polytope.box(*np.transpose(sides)).product(input_set) for sides in product(*axes)]
+    plant = double_integrator_plant()
+    return fit_pwa(plant, chessboard(plant.state_set, plant.input_set, cells), **options)
 
 
-def _cube(limit, n):
-    """{x in R^n : |x|_inf <= limit}."""
-    return Polytope.box(np.full(n, -limit), np.full(n, limit))
+def data_file(name, file):
+    """Path of a file of case `name`, in the installed package or in the checkout.
+
+    Raises
+    ------
+    ValueError
+        If there is no such case.
+    """
+    _require_name(name)
+    packaged = Path(__file__).parent / "data"
+    folder = packaged if packaged.is_dir() else Path(__file__).resolve().parents[2] / "data"
+    return folder / name / file
 
 
-def _quadrant(signs):
-    """{(x, u) : signs_i x_i >= 0} for x in the plane and one input."""
-    return Polytope([[-signs[0], 0, 0], [0, -signs[1], 0]], np.zeros(2))
+def _require_name(name):
+    if name not in NAMES:
+        raise ValueError(f"there is no case study {name!r}; choose one of {', '.join(NAMES)}")

@@ -111,8 +111,8 @@ class ClosedLoop:
             trajectory[alive, k + 1] = self._advance(now, modes) + d
         return trajectory.reshape(*x0.shape[:-1], steps + 1, -1)
 
-    def equilibrium(self, start=None, steps=500):
-        """A fixed point x = f_PWA(x, Phi(x)) of the nominal loop.
+    def equilibrium(self, start=None, steps=500, tries=50):
+        """A fixed point x = f_PWA(x, Phi(x)) of the nominal loop, stable or not.
 
         Parameters
         ----------
@@ -120,6 +120,8 @@ class ClosedLoop:
             Where the search begins; None is the middle of X.
         steps : int
             Nominal steps towards the fixed point before it is solved for.
+        tries : int
+            Further starts, drawn from X, for fixed points that repel.
 
         Returns
         -------
@@ -128,30 +130,32 @@ class ClosedLoop:
         Raises
         ------
         ValueError
-            If the nominal trajectory leaves X or settles at no fixed point (it may run into a cycle).
+            If none was found. A loop that jumps at a region boundary need not have any.
 
         Notes
         -----
-        Simulates, then solves (I - A - B K) x = B g + p on the affine piece that was reached, and
-        confirms the solution by one step of the loop.
+        Newton's method on the affine pieces: solve (I - A - B K) x = B g + p on the piece of the current
+        point, until the solution lies on that piece, which one step of the loop confirms.
         """
         start = self.system.state_set.chebyshev()[0] if start is None else np.asarray(start, float)
-        x = self.simulate(start, steps)[-1]
-        if np.isnan(x).any():
-            raise ValueError(f"the nominal trajectory from {start.tolist()} leaves the state set; start elsewhere")
-        mode = self.system.modes[self._modes(x[None])[0]]
-        K, g = self.network.affine_piece(x)
-        candidates = [x]
-        try:
-            candidates.insert(0, np.linalg.solve(np.eye(len(x)) - mode.A - mode.B @ K, mode.B @ g + mode.p))
-        except np.linalg.LinAlgError:
-            pass
-        for candidate in candidates:
-            if not self._outside(candidate[None])[0] and np.abs(self.step(candidate) - candidate).max() < 1e-9:
-                return candidate
+        path = self.simulate(start, steps)
+        path = path[np.isfinite(path).all(axis=1)][-50:]
+        starts = [path[-1], path.mean(axis=0), *self.system.state_set.sample(np.random.default_rng(0), tries)]
+        for x in starts:
+            for _ in range(50):
+                if self._outside(x[None])[0]:
+                    break
+                if np.abs(self.step(x) - x).max() < 1e-11 * (1 + np.abs(x).max()):
+                    return x
+                mode = self.system.modes[self._modes(x[None])[0]]
+                K, g = self.network.affine_piece(x)
+                try:
+                    x = np.linalg.solve(np.eye(len(x)) - mode.A - mode.B @ K, mode.B @ g + mode.p)
+                except np.linalg.LinAlgError:
+                    break
         raise ValueError(
-            f"no equilibrium was found from {start.tolist()}: after {steps} steps the loop moves from "
-            f"{x.tolist()} to {self.step(x).tolist()}"
+            f"no equilibrium was found from {len(starts)} starts; the nominal loop from {start.tolist()} is at "
+            f"{path[-1].tolist()} after {steps} steps and may circle; give the centre as a point"
         )
 
     def _outside(self, x):

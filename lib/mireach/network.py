@@ -225,6 +225,21 @@ class MaxoutNetwork:
             "output": {"weight": self.weight.tolist(), "bias": self.bias.tolist()},
         }
 
+    @staticmethod
+    def from_dict(value):
+        """Inverse of `to_dict`.
+
+        Raises
+        ------
+        ValueError
+            If the dict holds sizes or numbers that no network has, or lacks a key.
+        """
+        try:
+            hidden = [Layer(part["weight"], part["bias"], part["pool"]) for part in value["hidden"]]
+            return MaxoutNetwork(hidden, value["output"]["weight"], value["output"]["bias"])
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"{type(error).__name__}: {error}") from error
+
     def save(self, path):
         """Write the network as JSON that reads back to the same floats."""
         write_json(path, self.to_dict())
@@ -240,10 +255,9 @@ class MaxoutNetwork:
         """
         value = read_json(path, FORMAT)
         try:
-            hidden = [Layer(part["weight"], part["bias"], part["pool"]) for part in value["hidden"]]
-            return MaxoutNetwork(hidden, value["output"]["weight"], value["output"]["bias"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise CorruptFileError(f"{path} holds no network: {type(error).__name__}: {error}") from error
+            return MaxoutNetwork.from_dict(value)
+        except ValueError as error:
+            raise CorruptFileError(f"{path} holds no network: {error}") from error
 
 
 def _flatten(module):

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from .checks import real_array, require_columns
 from .lp import LinearProgram
 
-TOUCH = 1e-9  # vertices of a set count as one point, and as inside, within this distance (units of x)
+TOUCH = 1e-11  # vertices count as one point, and as inside, within this distance (relative to 1 + largest offset)
 MOST_VERTEX_CANDIDATES = 2_000_000  # subsets of rows that `vertices` is willing to try
 
 
@@ -220,7 +220,7 @@ class Polytope:
         Returns
         -------
         array (v, n)
-            Counter-clockwise for n = 2; no rows if P is empty. Points closer than 1e-9 are one.
+            Counter-clockwise for n = 2; no rows if P is empty. Points closer than rounding are one.
 
         Raises
         ------
@@ -250,8 +250,9 @@ class Polytope:
         regular = np.abs(np.linalg.det(H[subsets])) > 1e-12
         points = np.linalg.solve(H[subsets[regular]], h[subsets[regular]][..., None])[..., 0]
         scale = 1 + np.abs(h).max()
-        points = points[(points @ H.T <= h + TOUCH * scale).all(axis=1)]
-        points = _distinct(points, TOUCH * scale)
+        excess = (points @ H.T - h).max(axis=1)
+        inside = excess <= max(TOUCH * scale, excess.min())  # a set that is empty by a rounding error is a point
+        points = _distinct(points[inside], TOUCH * scale)
         return _counter_clockwise(points) if n == 2 else points
 
     def chebyshev(self):

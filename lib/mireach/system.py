@@ -181,6 +181,30 @@ class NonlinearSystem:
         values = self.f(np.moveaxis(x, -1, 0), np.moveaxis(u, -1, 0))
         return np.stack(np.broadcast_arrays(*values), axis=-1)
 
+    def step(self, controller, x):
+        """f(x, controller(x)) for (n,) or (N, n)."""
+        return self(x, controller(x))
+
+    def simulate(self, controller, x0, steps):
+        """Trajectories of x+ = f(x, controller(x)).
+
+        Parameters
+        ----------
+        controller : callable
+            (N, n) -> (N, m), such as a MaxoutNetwork.
+        x0 : array (n,) or (N, n)
+        steps : int
+
+        Returns
+        -------
+        array (steps + 1, n) or (N, steps + 1, n)
+            Nothing stops a trajectory at the limits of X.
+        """
+        path = [np.asarray(x0, float)]
+        for _ in range(steps):
+            path.append(self.step(controller, path[-1]))
+        return np.stack(path, axis=-2)
+
 
 @lru_cache(maxsize=64)
 def _check_partition(regions, state_set, input_set):

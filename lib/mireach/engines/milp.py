@@ -16,6 +16,8 @@ from ..lp import TOLERANCE, LinearProgram
 from .bounds import METHODS, SAFETY, lower_bound, upper_bound
 from .common import Support, checked_query, empty_support, replay
 
+MIP_TOLERANCE = 1e-8  # feasibility in the MILP; with 1e-9, HiGHS 1.15 cuts off optimal points in one model of 30
+MARGIN = 1e-8  # added to HiGHS's dual bound, relative to 1 + its size: it may prune what is better by its tolerance
 
 @dataclass(frozen=True, eq=False)
 class Model:
@@ -84,7 +86,7 @@ def support(loop, F, V, steps=1, *, bounds="lp", time_limit=None, gap=1e-9):
         limit, point, finished = _solve(model, v, time_limit)
         if limit == -np.inf:
             return empty_support(len(V))
-        bound[row] = limit + TOLERANCE * (1 + abs(limit))
+        bound[row] = limit + MARGIN * (1 + abs(limit))
         stopped |= not finished
         if point is not None:
             modes = [int(np.argmax(point[columns])) for columns in model.modes]
@@ -116,7 +118,7 @@ def build(loop, F, steps, bounds="lp"):
         return None
     lp = LinearProgram()
     x = lp.add_columns(*_widened(*start.bounding_box()))
-    lp.add_rows(x, F.H, upper=F.h)
+    lp.add_rows(x, F.H, upper=_widened(0, F.h)[1])
     states, modes, disturbances, binaries = [x], [], [], []
     for _ in range(steps):
         lp.add_rows(x, loop.system.state_set.H, upper=loop.system.state_set.h)
@@ -293,7 +295,7 @@ def _declare_binaries(model, gap):
         "presolve": "choose",
         "mip_rel_gap": float(gap),
         "mip_abs_gap": float(gap),
-        "mip_feasibility_tolerance": TOLERANCE,
+        "mip_feasibility_tolerance": MIP_TOLERANCE,
     }.items():
         highs.setOptionValue(name, setting)
     kinds = np.full(len(model.binaries), highspy.HighsVarType.kInteger)

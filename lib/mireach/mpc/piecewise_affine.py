@@ -84,7 +84,9 @@ def solve_miqp(system, x0, horizon=10, Q=None, R=None, P=None, most_nodes=100_00
     SolverStopped
         If `most_nodes` QPs did not settle the problem.
     SolverError
-        If DAQP fails on a QP, or is not installed.
+        If DAQP fails on a QP.
+    ImportError
+        If DAQP is not installed.
 
     Notes
     -----
@@ -150,10 +152,9 @@ class _Problem:
         return bool((H @ x0 <= h + self.tol).all())
 
     def root(self, x0):
-        """No step taken yet; x(0) is paid for when its step is taken."""
-        n = len(x0)
-        empty = np.zeros((0, 0)), np.zeros(0)
-        return _Node((), *empty, 0.0, np.zeros((0, 0)), np.zeros(0), np.zeros((n, 0)), x0)
+        """No step taken yet, and the stage cost of x(0) charged."""
+        none, empty = np.zeros((0, 0)), np.zeros(0)
+        return _Node((), none, empty, x0 @ self.Q @ x0, none, empty, np.zeros((len(x0), 0)), x0)
 
     def children(self, node):
         """The nodes with one more step, but for those that a fixed row already rules out."""
@@ -174,15 +175,13 @@ class _Problem:
         flat = np.abs(A).max(axis=1) <= FLAT
         if (b[flat] < -self.tol).any():
             return None
-        # Replace the charge of the last state (none at the root) by stage cost and charge of the next.
+        # x(j) is charged already: add u(j)'R u(j) and the charge of x(j+1), which P replaces at the end.
         W = self.P if len(node.modes) + 1 == self.horizon else self.Q
         H, f, c = np.zeros((size + m, size + m)), np.zeros(size + m), node.c
         H[:size, :size], f[:size] = node.H, node.f
         H += 2 * (E.T @ self.R @ E + G_next.T @ W @ G_next)
         f += 2 * G_next.T @ W @ g_next
         c += g_next @ W @ g_next
-        if not node.modes:
-            c += node.g @ self.Q @ node.g
         A = np.vstack([np.hstack([node.A, np.zeros((len(node.A), m))]), A[~flat]])
         return _Node((*node.modes, index), H, f, c, A, np.concatenate([node.b, b[~flat]]), G_next, g_next)
 
@@ -226,7 +225,7 @@ def _solve_qp(node, tol):
     try:
         import daqp
     except ImportError as error:
-        raise SolverError('solving the MIQP needs daqp: install it with pip install "mireach[data]"') from error
+        raise ImportError('solving the MIQP needs daqp: install it with pip install "mireach[data]"') from error
     U, value, flag, _ = daqp.solve(
         node.H, node.f, node.A, node.b, np.full(len(node.b), -1e30), np.zeros(len(node.b), np.int32), primal_tol=tol
     )

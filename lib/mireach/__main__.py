@@ -1,0 +1,70 @@
+"""python -m mireach TASK: what run.py runs after it has set up."""
+
+import argparse
+import sys
+
+from .case_studies import NAMES
+from .errors import MireachError
+
+
+def main(arguments=None):
+    """Run one task; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="mireach", description=__doc__.split(":")[0])
+    tasks = parser.add_subparsers(dest="task", required=True)
+    quiet = argparse.ArgumentParser(add_help=False)
+    quiet.add_argument("--quiet", action="store_true", help="no progress bars")
+
+    task = tasks.add_parser("reproduce", parents=[quiet], help="both case studies: figures, report, table")
+    task.add_argument("--results", default="results", help="folder of report.json and report.md")
+    task.add_argument("--figures", default="docs/figures", help="folder of the figures")
+    task.add_argument("--engine", choices=["cells", "milp", "cvxpy"], help="default: cells")
+    task.add_argument("--no-cross-check", action="store_true", help="leave out the comparison with the MILP")
+    task.set_defaults(run=_reproduce)
+
+    task = tasks.add_parser("train", parents=[quiet], help="make the data set and the network of a case from scratch")
+    task.add_argument("case", choices=NAMES)
+    task.add_argument("--seed", type=int, help="default: the seed whose network is shipped")
+    task.add_argument("--output", help="folder; default: data/CASE of the checkout")
+    task.set_defaults(run=_train)
+
+    task = tasks.add_parser("seeds", parents=[quiet], help="train and analyse many networks, ship the best")
+    task.add_argument("case", choices=NAMES)
+    task.add_argument("--count", type=int, default=50, help="number of seeds, counted from 0")
+    task.add_argument("--jobs", type=int, default=-1, help="processes; -1 for all cores")
+    task.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers are used instead")
+    task.add_argument("--output", help="folder; default: data/CASE of the checkout")
+    task.set_defaults(run=_seeds)
+
+    options = parser.parse_args(arguments)
+    try:
+        return options.run(options)
+    except (MireachError, ValueError, FileNotFoundError) as error:
+        print(f"mireach: {error}", file=sys.stderr)
+        return 1
+
+
+def _reproduce(options):
+    from .report import reproduce
+
+    check = None if options.no_cross_check else "milp"
+    print(reproduce(options.results, options.figures, options.engine, check, not options.quiet))
+    print(f"written: {options.results}/report.md, {options.results}/report.json, {options.figures}/")
+    return 0
+
+
+def _train(options):
+    from .seeds import retrain
+
+    print(retrain(options.case, options.seed, options.output, progress=not options.quiet))
+    return 0
+
+
+def _seeds(options):
+    from .seeds import make_study
+
+    print(make_study(options.case, options.count, options.jobs, options.scheduler, options.output, not options.quiet))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,147 @@
+"""Figures: sets, regions, trajectories and vector fields in the plane, and Figures 1 to 3 of [Teichrib2025].
+
+Colours are from the Okabe-Ito palette, and every kind of set also differs by line style or hatch, so that
+figures can be read in grey.
+"""
+
+import numpy as np
+from matplotlib.patches import Polygon
+
+GREEN, BLUE, RED, BLACK, GREY, ORANGE = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A", "#E69F00"
+SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
+TERMINAL = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
+SEQUENCE = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
+
+
+def draw_set(ax, P, **style):
+    """Draw a bounded Polytope of the plane.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    P : Polytope
+        A point is drawn as a dot, a segment as a line.
+    **style
+        Of matplotlib.patches.Polygon, such as the module's SAFE, TERMINAL and SEQUENCE; label included.
+
+    Returns
+    -------
+    matplotlib artist
+    """
+    corners = P.vertices()
+    if len(corners) > 2:
+        return ax.add_patch(Polygon(corners, closed=True, **style))
+    colour, label = style.get("edgecolor", BLACK), style.get("label")
+    return ax.plot(*corners.T, "." if len(corners) == 1 else "-", color=colour, label=label)[0]
+
+
+def draw_regions(ax, system):
+    """Thick grey outlines of those mode regions that do not depend on u."""
+    n, X = system.state_size, system.state_set
+    for mode in system.modes:
+        of_x = (mode.region.H[:, n:] == 0).all(axis=1)
+        region = type(X)(mode.region.H[of_x, :n], mode.region.h[of_x]) & X if of_x.any() else X
+        draw_set(ax, region, facecolor="none", edgecolor=GREY, linewidth=2.2, zorder=0.5)
+
+
+def draw_trajectories(ax, trajectories, **style):
+    """Draw one trajectory (steps + 1, 2) or several (N, steps + 1, 2) as thin lines; a label is given once."""
+    label = style.pop("label", None)
+    for i, path in enumerate(np.atleast_3d(trajectories) if trajectories.ndim == 3 else trajectories[None]):
+        ax.plot(*path.T, label=label if i == 0 else None, **style)
+
+
+def label_axes(ax, P, title=None):
+    """Axis labels with the paper's symbols, equal scales, and limits that show the Polytope P with a small margin."""
+    lower, upper = P.bounding_box()
+    margin = 0.04 * (upper - lower)
+    ax.set(
+        xlim=(lower[0] - margin[0], upper[0] + margin[0]),
+        ylim=(lower[1] - margin[1], upper[1] + margin[1]),
+        xlabel="$x_1$",
+        ylabel="$x_2$",
+        aspect="equal",
+    )
+    if title:
+        ax.set_title(title)
+
+
+def legend_above(ax, columns):
+    """A legend over the axes, where it hides nothing."""
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize="small")
+
+
+def plot_sequence(ax, system, safe, terminal):
+    """Figure 1: F_max in green, the shrinking R_k-bar(F_max) as black outlines, the terminal set in blue."""
+    zoom = ax.inset_axes([0.635, 0.055, 0.27, 0.27])
+    for panel in (ax, zoom):
+        draw_set(panel, safe.set, **SAFE, label=r"$\mathcal{F}_{\max}$")
+        for k, R in enumerate(terminal.history[1:-1], start=1):
+            label = rf"$\overline{{\mathcal{{R}}}}_k,\ k = 1, \dots, {terminal.steps - 1}$" if k == 1 else None
+            draw_set(panel, R, **SEQUENCE, label=label)
+        label = rf"$\overline{{\mathcal{{R}}}}_{{\min}}$ ($k = {terminal.steps}$)"
+        draw_set(panel, terminal.set, **TERMINAL, label=label)
+    label_axes(ax, system.state_set)
+    label_axes(zoom, terminal.set.scale(1.6, terminal.set.chebyshev()[0]))
+    zoom.set(xticks=[], yticks=[], xlabel="", ylabel="")
+    ax.indicate_inset_zoom(zoom, edgecolor=GREY)
+    legend_above(ax, 3)
+
+
+def plot_tubes(ax, system, safe, terminal, tubes, nominal):
+    """Figure 2: disturbed trajectories from two states, the nominal ones, F_max, terminal set and regions.
+
+    Parameters
+    ----------
+    tubes : two arrays (N, steps + 1, 2)
+    nominal : two arrays (steps + 1, 2)
+    """
+    draw_regions(ax, system)
+    draw_set(ax, safe.set, **{**SAFE, "facecolor": "none"}, label=r"$\mathcal{F}_{\max}$")
+    for tube, colour, style in zip(tubes, (GREEN, BLUE), ("-", "--")):
+        start = ", ".join(f"{value:.2f}".rstrip("0").rstrip(".") for value in tube[0, 0])
+        label = f"{len(tube)} disturbed from ({start})"
+        draw_trajectories(ax, tube, color=colour, linewidth=0.6, linestyle=style, alpha=0.55, label=label)
+    for path, label in zip(nominal, ("nominal, $d = 0$", None)):
+        ax.plot(*path.T, color=BLACK, linewidth=1.6, marker=".", markersize=4, label=label, zorder=4)
+    draw_set(
+        ax,
+        terminal.set,
+        facecolor="none",
+        edgecolor=RED,
+        linewidth=1.8,
+        zorder=5,
+        label=r"$\overline{\mathcal{R}}_{\min}$",
+    )
+    label_axes(ax, system.state_set)
+    legend_above(ax, 3)
+
+
+def plot_vector_field(ax, system, safe, terminal, step, path, reach, arrows=34):
+    """Figure 3: the loop's vector field in F_max, one trajectory, and the reachable sets around its states.
+
+    Parameters
+    ----------
+    step : callable
+        (N, 2) -> (N, 2), the loop of the nonlinear plant.
+    path : array (k + 1, 2)
+        The trajectory of the plant.
+    reach : list of Polytope
+        R_i-bar of its first state, i = 1, ..., k.
+    arrows : int
+        Grid points per axis.
+    """
+    draw_regions(ax, system)
+    draw_set(ax, safe.set, **SAFE, label=r"$\mathcal{F}_{\max}$")
+    lower, upper = safe.set.bounding_box()
+    grid = np.stack(np.meshgrid(*np.linspace(lower, upper, arrows).T), axis=-1).reshape(-1, 2)
+    grid = grid[safe.set.contains(grid)]
+    move = step(grid) - grid
+    ax.quiver(*grid.T, *move.T, color="#777777", angles="xy", scale_units="xy", scale=4, width=0.002, zorder=1.5)
+    draw_set(ax, terminal.set, **TERMINAL, label=r"$\overline{\mathcal{R}}_{\min}$", zorder=2)
+    for i, R in enumerate(reach):
+        label = r"$\overline{\mathcal{R}}_i(\{x(0)\})$" if i == 0 else None
+        draw_set(ax, R, facecolor="none", edgecolor=BLACK, linewidth=1.0, zorder=3, label=label)
+    ax.plot(*path.T, color=RED, linewidth=1.5, marker="o", markersize=3, zorder=4, label="trajectory of the plant")
+    label_axes(ax, safe.set)
+    legend_above(ax, 4)

@@ -1,0 +1,114 @@
+"""Reachable sets: support functions by any engine, outer steps and outer sequences."""
+
+import warnings
+from importlib import import_module
+
+import numpy as np
+
+from .checks import real_array, require_columns
+from .polytope import Polytope
+
+ENGINES = {"cells": "cells", "milp": "milp", "cvxpy": "model"}  # name -> module in `engines` with its `support`
+RESOLUTION = {
+    "cells": 0.0,
+    "milp": 1e-7,
+    "cvxpy": 1e-5,
+}  # what an engine's bound may lie above the truth, and ties with it
+
+
+def default_engine(loop):
+    """The cells where they apply (two states), else the MILP."""
+    return "cells" if loop.system.state_size == 2 else "milp"
+
+
+def support(loop, F, V, steps=1, engine=None, **options):
+    """Support function of the k-step reachable set: h of R_k(F) along V (Lemma 2).
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+        Where trajectories start. States outside X have no successor: F & X counts, and at every later
+        step only what stays in X goes on.
+    V : array (k, n)
+        Directions, one a row.
+    steps : int
+        The k of R_k.
+    engine : "cells", "milp", "cvxpy" or None
+        None takes the cells for two states, else the MILP.
+    **options
+        Passed to the engine, such as `time_limit` for the MILP.
+
+    Returns
+    -------
+    Support
+        `value` (k,) attained, `bound` (k,) proven, and the `witness` that attains the value.
+
+    Raises
+    ------
+    ValueError
+        If sizes do not match, the engine has another name, or Phi leaves U.
+    SolverStopped
+        If a limit stopped the solver.
+    """
+    engine = default_engine(loop) if engine is None else engine
+    if engine not in ENGINES:
+        raise ValueError(f"engine must be one of {', '.join(ENGINES)}; got {engine!r}")
+    answer = import_module(f"{__package__}.engines.{ENGINES[engine]}").support
+    return answer(loop, F, V, steps, **options)
+
+
+def outer_step(loop, F, C, engine=None, **options):
+    """R_1-bar(F) = {x : C x <= h of R_1(F) along C} (eq. Rover1), the smallest such set around R_1(F).
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+    C : array (l, n)
+        Template.
+
+    Returns
+    -------
+    Polytope
+
+    Raises
+    ------
+    ValueError
+        As `support`, and if F does not meet X.
+    """
+    C = real_array(C, "C", 2)
+    require_columns(C, loop.system.state_size, "C", "the state's size")
+    bound = support(loop, F, C, engine=engine, **options).bound
+    if not np.isfinite(bound).all():
+        raise ValueError("F does not meet the state set, so no state of it has a successor")
+    return Polytope(C, bound)
+
+
+def outer_reach(loop, F, C, steps, engine=None, **options):
+    """R_0-bar(F) = F, R_1-bar(F), ..., R_k-bar(F) for k = `steps` (eq. ROverOver).
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+    C : array (l, n)
+        Template.
+    steps : int
+        At least 0.
+
+    Returns
+    -------
+    list of steps + 1 Polytope
+
+    Warns
+    -----
+    UserWarning
+        If a set leaves X; what follows then only describes trajectories that stay in X.
+    """
+    sets = [F]
+    for k in range(steps):
+        if not sets[-1].is_subset(loop.system.state_set, tol=1e-9):
+            warnings.warn(f"R{k} leaves the state set; later sets describe only what stays in it", stacklevel=2)
+        sets.append(outer_step(loop, sets[-1], C, engine, **options))
+    return sets

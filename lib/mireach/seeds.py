@@ -1,0 +1,288 @@
+"""The seed study: how typical are the numbers of one trained network?"""
+
+import csv
+import io
+import json
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from tqdm.auto import tqdm
+
+from .case_studies import INPUT_LIMITS, PAPER, SHAPES, case_study, data_file
+from .datasets import DataSet, make_double_integrator_data, make_pwa_data
+from .engines.cells import cells
+from .errors import CorruptFileError, MireachError
+from .files import write_whole
+from .invariance import safe_set, terminal_set
+from .network import MaxoutNetwork
+
+LOSS_FACTOR = 2.0  # networks whose loss is within this factor of the best may be shipped
+
+
+@dataclass(frozen=True)
+class SeedRow:
+    """What one seed led to.
+
+    Attributes
+    ----------
+    seed : int
+    loss : float
+        Mean squared error on the data, in units of u^2.
+    cells : int
+        Cells of the closed loop over X.
+    verdict : str
+        Of the safe set.
+    iterations : int
+        Of the safe set; where none was found, how many were made.
+    x1_min, x1_max, x2_min, x2_max : float
+        Extent of F_max; nan if none was found.
+    steps, criterion, alpha : int, bool, float
+        k-bar about the origin, whether eq. TerminationFmin held there, and the alpha of Theorem 1.
+    steps_equilibrium, criterion_equilibrium, alpha_equilibrium : int, bool, float
+        The same about the closed loop's equilibrium; 0, False and nan if it has none.
+    train_seconds, analysis_seconds : float
+    """
+
+    seed: int
+    loss: float
+    cells: int
+    verdict: str
+    iterations: int
+    x1_min: float = np.nan
+    x1_max: float = np.nan
+    x2_min: float = np.nan
+    x2_max: float = np.nan
+    steps: int = 0
+    criterion: bool = False
+    alpha: float = np.nan
+    steps_equilibrium: int = 0
+    criterion_equilibrium: bool = False
+    alpha_equilibrium: float = np.nan
+    train_seconds: float = np.nan
+    analysis_seconds: float = np.nan
+
+
+def study(name, seeds=range(50), *, jobs=-1, scheduler=None, progress=True, **training):
+    """Train and analyse one network a seed.
+
+    Parameters
+    ----------
+    name : str
+        Of the case study.
+    seeds : iterable of int
+    jobs : int
+        Processes on this machine, -1 for all cores.
+    scheduler : str or None
+        Address of a Dask scheduler, "tcp://host:8786", whose workers are used in place of `jobs`.
+    progress : bool
+        Show a progress bar.
+    **training
+        Passed to `training.train`, such as `steps`.
+
+    Returns
+    -------
+    rows : list of SeedRow
+        By seed.
+    networks : dict of int to MaxoutNetwork
+
+    Raises
+    ------
+    MireachError
+        If `scheduler` is given and dask.distributed is missing.
+    """
+    from joblib import Parallel, delayed, parallel_config
+
+    tasks = [delayed(run_seed)(name, int(seed), **training) for seed in seeds]
+    if scheduler is None:
+        results = Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks)
+        return _collect(results, len(tasks), progress)
+    try:
+        from dask.distributed import Client
+    except ImportError as error:
+        raise MireachError('a scheduler needs Dask: install it with pip install "mireach[cluster]"') from error
+    with Client(scheduler), parallel_config(backend="dask"):
+        return _collect(Parallel()(tasks), len(tasks), progress)
+
+
+def run_seed(name, seed, **training):
+    """Train the network of one seed and analyse it: (SeedRow, MaxoutNetwork)."""
+    begin = perf_counter()
+    network, loss = train_case(name, seed, progress=False, **training)
+    seconds = perf_counter() - begin
+    return replace(analyse_seed(name, seed, network, loss), train_seconds=seconds), network
+
+
+def train_case(name, seed, data=None, **training):
+    """The network of one seed, trained on the shipped data of a case (or on `data`): (MaxoutNetwork, loss).
+
+    One thread, so that a seed gives the same network whatever else runs.
+    """
+    import torch
+
+    from .training import train
+
+    torch.set_num_threads(1)
+    data = DataSet.load(data_file(name, "samples.csv")) if data is None else data
+    limit = INPUT_LIMITS[name]
+    result = train(data.states, data.inputs, **SHAPES[name], lower=-limit, upper=limit, seed=seed, **training)
+    return result.network, result.loss
+
+
+def analyse_seed(name, seed, network, loss):
+    """The sets of a trained network, as a SeedRow."""
+    begin = perf_counter()
+    case = case_study(name, network)
+    safe = safe_set(case.loop, case.safe_directions)
+    row = {"seed": seed, "loss": loss, "cells": len(cells(case.loop)), "verdict": safe.verdict}
+    row["iterations"] = safe.iterations
+    if safe.set is not None:
+        lower, upper = safe.set.bounding_box()
+        row |= {"x1_min": lower[0], "x2_min": lower[1], "x1_max": upper[0], "x2_max": upper[1]}
+        for centre, suffix in (("origin", ""), ("equilibrium", "_equilibrium")):
+            try:
+                found = terminal_set(case.loop, safe, case.directions, case.epsilon, centre)
+            except ValueError:  # the loop has no equilibrium: the row keeps its defaults
+                continue
+            row |= {"steps" + suffix: found.steps, "criterion" + suffix: found.criterion, "alpha" + suffix: found.alpha}
+    plain = {key: value.item() if isinstance(value, np.generic) else value for key, value in row.items()}
+    return SeedRow(**plain, analysis_seconds=perf_counter() - begin)
+
+
+def choose(name, rows):
+    """The row that is shipped: nearest to the paper's figures among those whose loss is within twice the best.
+
+    Parameters
+    ----------
+    name : str
+    rows : list of SeedRow
+
+    Returns
+    -------
+    SeedRow
+
+    Raises
+    ------
+    MireachError
+        If no row has both a proven safe set and a terminal set about the origin.
+
+    Notes
+    -----
+    The distance is the sum of the relative differences of the figures that the paper prints: iterations
+    of F_max, k-bar, and for `pwa` the right end of F_max, the only side of it that depends on the network.
+    """
+    paper, best = PAPER[name], min(row.loss for row in rows)
+    good = [r for r in rows if r.verdict == "proven" and r.criterion and r.loss <= LOSS_FACTOR * best]
+    if not good:
+        raise MireachError(f"none of {len(rows)} networks of case {name} has both sets; train more seeds")
+
+    def distance(row):
+        pairs = [(row.iterations, paper["iterations"]), (row.steps, paper["steps"])]
+        if name == "pwa":
+            pairs.append((row.x1_max, paper["safe_set_box"][1][0]))
+        return sum(abs(here - there) / there for here, there in pairs)
+
+    return min(good, key=distance)
+
+
+def save_rows(path, rows):
+    """Write the study as CSV whose numbers read back to the same floats."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(field.name for field in fields(SeedRow))
+    writer.writerows(asdict(row).values() for row in rows)
+    write_whole(path, text.getvalue())
+
+
+def load_rows(path):
+    """Read a study that `save_rows` wrote: list of SeedRow.
+
+    Raises
+    ------
+    CorruptFileError
+        If the file is not such a study.
+    """
+    kinds = {
+        field.name: {"True": True, "False": False}.__getitem__ if field.type is bool else field.type
+        for field in fields(SeedRow)
+    }
+    with open(path, encoding="utf-8", newline="") as file:
+        try:
+            return [SeedRow(**{key: kinds[key](value) for key, value in row.items()}) for row in csv.DictReader(file)]
+        except (KeyError, TypeError, ValueError) as error:
+            raise CorruptFileError(f"{path} holds no seed study: {error!r}; make it again") from error
+
+
+def save_networks(path, networks):
+    """Write the networks of a study, one JSON object a line: {"seed": ..., "network": ...}."""
+    lines = [json.dumps({"seed": seed, "network": network.to_dict()}) for seed, network in sorted(networks.items())]
+    write_whole(path, "\n".join(lines) + "\n")
+
+
+def load_networks(name):
+    """All networks of the shipped seed study of a case: dict of seed to MaxoutNetwork."""
+    lines = data_file(name, "seed_networks.jsonl").read_text(encoding="utf-8").splitlines()
+    return {entry["seed"]: MaxoutNetwork.from_dict(entry["network"]) for entry in map(json.loads, lines)}
+
+
+def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=True):
+    """Run the study of a case and write seeds.csv, seed_networks.jsonl and the chosen network.json.
+
+    Parameters
+    ----------
+    name : str
+    count : int
+        Seeds 0, ..., count - 1.
+    jobs, scheduler, progress
+        As in `study`.
+    folder : str, Path or None
+        None is the case's folder in `data`.
+
+    Returns
+    -------
+    str
+        What was chosen, for people.
+    """
+    rows, networks = study(name, range(count), jobs=jobs, scheduler=scheduler, progress=progress)
+    folder = Path(folder or data_file(name, ""))
+    save_rows(folder / "seeds.csv", rows)
+    save_networks(folder / "seed_networks.jsonl", networks)
+    chosen = choose(name, rows)
+    networks[chosen.seed].save(folder / "network.json")
+    return f"seed {chosen.seed} of {count} is written to {folder / 'network.json'}: {chosen}"
+
+
+def retrain(name, seed=None, folder=None, progress=True):
+    """Make the data set of a case and train one network on it, from scratch.
+
+    Parameters
+    ----------
+    name : str
+    seed : int or None
+        None is the seed whose network is shipped.
+    folder : str, Path or None
+        Where samples.csv and network.json are written; None is the case's folder in `data`.
+    progress : bool
+
+    Returns
+    -------
+    str
+        What came out, for people.
+    """
+    make = {"pwa": make_pwa_data, "double_integrator": make_double_integrator_data}[name]
+    if seed is None:
+        seed = choose(name, load_rows(data_file(name, "seeds.csv"))).seed
+    folder = Path(folder or data_file(name, ""))
+    data = make(progress=progress)
+    data.save(folder / "samples.csv")
+    network, loss = train_case(name, seed, data, progress=progress)
+    network.save(folder / "network.json")
+    return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {analyse_seed(name, seed, network, loss)}"
+
+
+def _collect(results, count, progress):
+    """Rows by seed, and the networks."""
+    found = list(tqdm(results, total=count, desc="seeds", unit="network", disable=not progress))
+    found.sort(key=lambda pair: pair[0].seed)
+    return [row for row, _ in found], {row.seed: network for row, network in found}

@@ -1,0 +1,77 @@
+#!/usr/bin/env python3
+"""The one entry point: makes .venv, installs what is pinned in requirements.txt, runs a task.
+
+    python3 run.py reproduce          both case studies -> results/report.md, results/report.json, docs/figures/
+    python3 run.py test               every test
+    python3 run.py train CASE         make the data set and the network of CASE (pwa, double_integrator) from scratch
+    python3 run.py seeds CASE         the seed study of CASE, on all cores or with --scheduler ADDRESS
+    python3 run.py bench              benchmarks/
+
+What follows the task is passed on to it: `python3 run.py reproduce --help`.
+Needs only Python 3.11 or newer with pip, on Linux, macOS or Windows.
+"""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+TASKS = {
+    "reproduce": ["-m", "mireach", "reproduce"],
+    "test": ["-m", "pytest", "-n", "auto"],
+    "train": ["-m", "mireach", "train"],
+    "seeds": ["-m", "mireach", "seeds"],
+    "bench": [str(ROOT / "benchmarks" / "run.py")],
+}
+
+
+def set_up():
+    """Make .venv and install, unless the last installation was of the same files."""
+    wanted = hashlib.sha256()
+    for name in ("requirements.txt", "pyproject.toml"):
+        wanted.update((ROOT / name).read_bytes())
+    wanted.update(f"{sys.version} {ROOT}".encode())
+    stamp = VENV / "installed"
+    if PYTHON.exists() and stamp.exists() and stamp.read_text() == wanted.hexdigest():
+        return
+    print("setting up .venv (some minutes the first time)", flush=True)
+    try:
+        import venv
+
+        venv.create(VENV, with_pip=True, clear=True)
+    except (ImportError, subprocess.CalledProcessError) as error:
+        sys.exit(f"cannot make a virtual environment ({error}). On Debian and Ubuntu: apt install python3-venv")
+    pip = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    install([*pip, "-r", str(ROOT / "requirements.txt")])
+    install([*pip, "--no-deps", "--no-build-isolation", "-e", str(ROOT)])
+    stamp.write_text(wanted.hexdigest())
+
+
+def install(command):
+    """Run pip; on failure say what to look at."""
+    if subprocess.run(command).returncode:
+        sys.exit(
+            "the installation failed; pip's message above says which package. It needs a package index "
+            f"within reach and a Python for which wheels exist (this one is {sys.version.split()[0]}; 3.11 is tested)."
+        )
+
+
+def main(arguments):
+    if sys.version_info < (3, 11):  # noqa: UP036 - an older Python has to be told so
+        sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(__doc__)
+        return 0
+    task, *rest = arguments
+    if task not in TASKS:
+        sys.exit(f"there is no task {task!r}; choose one of {', '.join(TASKS)}")
+    set_up()
+    return subprocess.run([str(PYTHON), *TASKS[task], *rest], cwd=ROOT).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
