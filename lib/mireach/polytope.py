@@ -50,6 +50,9 @@ class Polytope:
         object.__setattr__(self, "H", H)
         object.__setattr__(self, "h", h)
 
+    def __reduce__(self):
+        return Polytope, (self.H, self.h)  # what is cached holds a solver, which cannot be pickled
+
     def __repr__(self):
         return f"Polytope({len(self.h)} rows in R^{self.dimension})"
 

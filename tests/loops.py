@@ -1,0 +1,221 @@
+"""Random closed loops, and oracles that share no code with the package: they only read its data (H, h, weights)."""
+
+import numpy as np
+from scipy.optimize import linprog
+
+from mireach import ClosedLoop, Layer, MaxoutNetwork, Mode, Polytope, PWASystem
+
+INSIDE = 1e-7  # how far a witness may be from the sets that it claims to be in
+
+# -- builders -----------------------------------------------------------------------------------------
+
+
+def random_network(rng, n, m, layers=2, width=2, pool=2, gain=0.6):
+    """A maxout network with normal weights."""
+    hidden, size = [], n
+    for _ in range(layers):
+        hidden.append(Layer(gain * rng.normal(size=(width * pool, size)), rng.normal(size=width * pool), pool))
+        size = width
+    return MaxoutNetwork(hidden, gain * rng.normal(size=(m, size)), 0.5 * rng.normal(size=m))
+
+
+def disturbance(kind, rng, n):
+    """A disturbance set of R^n: "point", "origin", "segment", "box", or (in the plane) "triangle"."""
+    middle, reach = 0.1 * rng.normal(size=n), rng.uniform(0.05, 0.3, n)
+    if kind == "origin":
+        return None
+    if kind == "point":
+        return Polytope.box(middle, middle)
+    if kind == "segment":
+        if n == 2:
+            along = reach * rng.choice([-1, 1], n)
+            return Polytope.from_points(np.array([middle - along, middle + along]))
+        return Polytope.box(middle - reach * (np.arange(n) == 0), middle + reach * (np.arange(n) == 0))
+    if kind == "triangle" and n == 2:
+        return Polytope.from_points(middle + reach * np.array([[1.0, 0.3], [-1.0, 0.8], [0.2, -1.0]]))
+    return Polytope.box(middle - reach, middle + reach)
+
+
+KINDS = ("box", "segment", "point", "triangle", "origin")
+
+
+def cut_regions(rng, n, m, cuts, with_input, limits):
+    """Regions of R^(n+m): each cut halves every region that it is given to, and meets the middle of X x U."""
+    whole = Polytope(np.vstack([np.eye(n + m), -np.eye(n + m)])[[0]], [100.0])
+    regions = [whole]
+    for _ in range(cuts):
+        a = rng.normal(size=n + m)
+        if not with_input:
+            a[n:] = 0
+        b = a[:n] @ rng.uniform(-0.4, 0.4, n) * limits
+        chosen = regions.pop(0)
+        regions += [chosen & Polytope(a[None], [b]), chosen & Polytope(-a[None], [-b])]
+    return regions
+
+
+def random_loop(seed, n=2, m=1, cuts=2, with_input=False, kinds=KINDS, limits=3.0, saturated=False, **network):
+    """A loop whose regions are random, whose maps jump from region to region, and whose modes differ in D."""
+    rng = np.random.default_rng(seed)
+    net = random_network(rng, n, m, **network)
+    X = Polytope.box(-limits * rng.uniform(0.7, 1, n), limits * rng.uniform(0.7, 1, n))
+    if saturated:
+        net = net.saturate(-np.ones(m), np.ones(m))
+        U = Polytope.box(-np.ones(m), np.ones(m))
+    else:
+        U = Polytope.box(*enclosing_inputs(net, X))
+    modes = [
+        Mode(
+            0.6 * rng.normal(size=(n, n)),
+            0.6 * rng.normal(size=(n, m)),
+            0.5 * rng.normal(size=n),
+            region,
+            disturbance(rng.choice(kinds), rng, n),
+        )
+        for region in cut_regions(rng, n, m, cuts, with_input, limits)
+    ]
+    return ClosedLoop(PWASystem(modes, X, U), net)
+
+
+def enclosing_inputs(net, X):
+    """Limits that Phi keeps on the box X, by interval arithmetic."""
+    n = X.dimension
+    high, low = X.h[:n], -X.h[n:]
+    for layer in net.hidden:
+        up = np.maximum(layer.weight, 0) @ high + np.minimum(layer.weight, 0) @ low + layer.bias
+        down = np.maximum(layer.weight, 0) @ low + np.minimum(layer.weight, 0) @ high + layer.bias
+        high, low = up.reshape(-1, layer.pool).max(axis=1), down.reshape(-1, layer.pool).max(axis=1)
+    W = net.weight
+    up = np.maximum(W, 0) @ high + np.minimum(W, 0) @ low + net.bias
+    down = np.maximum(W, 0) @ low + np.minimum(W, 0) @ high + net.bias
+    return down - 0.1, up + 0.1
+
+
+def affine_loop(A, D=None, limits=1.0, p=None, u=0.0):
+    """x+ = A x + p + d with one mode, X = [-limits, limits]^n, and a network that says u without effect."""
+    A = np.atleast_2d(np.asarray(A, float))
+    n = len(A)
+    p = np.zeros(n) if p is None else np.asarray(p, float)
+    everywhere = Polytope(np.eye(n + 1)[:1], [1e3])
+    net = MaxoutNetwork((), np.zeros((1, n)), [u])
+    X = Polytope.box(-limits * np.ones(n), limits * np.ones(n))
+    return ClosedLoop(PWASystem([Mode(A, np.zeros((n, 1)), p, everywhere, D)], X, Polytope.box([-1], [1])), net)
+
+
+def jump_loop(left, right, D=None, limits=4.0):
+    """x+ = left where x1 <= 1 and x+ = right where x1 >= 1: constant maps that jump at the line x1 = 1."""
+    zero, column = np.zeros((2, 2)), np.zeros((2, 1))
+    below, above = Polytope([[1.0, 0, 0]], [1.0]), Polytope([[-1.0, 0, 0]], [-1.0])
+    sets = [None, None] if D is None else D
+    modes = [Mode(zero, column, left, below, sets[0]), Mode(zero, column, right, above, sets[1])]
+    net = MaxoutNetwork([Layer([[1, 0], [0, 1.0]], [0, 0], 2)], [[0.1]], [0.0])
+    X = Polytope.box(-limits * np.ones(2), limits * np.ones(2))
+    return ClosedLoop(PWASystem(modes, X, Polytope.box([-1], [1])), net)
+
+
+# -- oracles ------------------------------------------------------------------------------------------
+
+
+def evaluate(net, x):
+    """Phi(x) for one state, neuron by neuron."""
+    y = np.asarray(x, float)
+    for layer in net.hidden:
+        z = [row @ y + b for row, b in zip(layer.weight, layer.bias)]
+        y = np.array([max(z[i : i + layer.pool]) for i in range(0, len(z), layer.pool)])
+    return np.array([row @ y + b for row, b in zip(net.weight, net.bias)])
+
+
+def largest(c, A, b):
+    """max c w subject to A w <= b by scipy; -inf if nothing satisfies it."""
+    options = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10, "presolve": False}
+    found = linprog(-np.asarray(c, float), A, b, bounds=(None, None), method="highs-ds", options=options)
+    if found.status == 2:
+        return -np.inf
+    assert found.status in (0, 3), found.message
+    return np.inf if found.status == 3 else -found.fun
+
+
+def brute_support(loop, F, V, steps=1):
+    """h of R_k(F) along V: one LP for every choice of modes and winning channels that is possible at all.
+
+    The variables are w = (x(0), d(0), ..., d(k - 1)); every state of the trajectory is E w + e.
+    """
+    n = loop.system.state_size
+    size = n * (steps + 1)
+    E, e = np.eye(n, size), np.zeros(n)
+    V = np.asarray(V, float)
+    best = np.full(len(V), -np.inf)
+    for E_end, e_end, A, b in _trajectories(loop, E, e, F.H @ E, F.h, steps, 0):
+        best = np.maximum(best, [largest(v @ E_end, A, b) + v @ e_end for v in V])
+    return best
+
+
+def _trajectories(loop, E, e, A, b, steps, k):
+    """E w + e of the last state, and the constraints on w, for every possible choice."""
+    if k == steps:
+        yield E, e, A, b
+        return
+    X, n = loop.system.state_set, loop.system.state_size
+    A, b = np.vstack([A, X.H @ E]), np.concatenate([b, X.h - X.H @ e])
+    for K, g, A_net, b_net in _choices(loop.network.hidden, E, e, A, b):
+        U, c = loop.network.weight @ K, loop.network.weight @ g + loop.network.bias
+        for mode in loop.system.modes:
+            H, D = mode.region.H, mode.disturbance
+            S = np.zeros((n, E.shape[1]))
+            S[:, n * (k + 1) : n * (k + 2)] = np.eye(n)
+            A_mode = np.vstack([A_net, H[:, :n] @ E + H[:, n:] @ U, D.H @ S])
+            b_mode = np.concatenate([b_net, mode.region.h - H[:, :n] @ e - H[:, n:] @ c, D.h])
+            if largest(np.zeros(E.shape[1]), A_mode, b_mode) == -np.inf:
+                continue
+            after = mode.A @ E + mode.B @ U + S, mode.A @ e + mode.B @ c + mode.p
+            yield from _trajectories(loop, *after, A_mode, b_mode, steps, k + 1)
+
+
+def _choices(hidden, K, g, A, b):
+    """K w + g of the last hidden layer and the constraints, for every choice of winning channels."""
+    if not hidden:
+        yield K, g, A, b
+        return
+    layer, partial = hidden[0], [((), A, b)]
+    Z, z = layer.weight @ K, layer.weight @ g + layer.bias
+    for neuron in range(layer.width):
+        rows = range(neuron * layer.pool, (neuron + 1) * layer.pool)
+        following = []
+        for winners, A_now, b_now in partial:
+            for j in rows:
+                A_new, b_new = np.vstack([A_now, Z[list(rows)] - Z[j]]), np.concatenate([b_now, z[j] - z[list(rows)]])
+                if largest(np.zeros(A.shape[1]), A_new, b_new) > -np.inf:
+                    following.append(((*winners, j), A_new, b_new))
+        partial = following
+    for winners, A_now, b_now in partial:
+        yield from _choices(hidden[1:], Z[list(winners)], z[list(winners)], A_now, b_now)
+
+
+def random_images(loop, F, rng, count, steps=1):
+    """States of R_k(F) (count, n) at most: random starts in F, random closed modes, random extreme disturbances."""
+    x = F.sample(rng, count)
+    for _ in range(steps):
+        x = x[loop.system.state_set.contains(x)]
+        ends = []
+        for state in x:
+            xu = np.concatenate([state, evaluate(loop.network, state)])
+            modes = [mode for mode in loop.system.modes if (mode.region.H @ xu <= mode.region.h).all()]
+            for mode in modes:
+                corners = mode.disturbance.vertices()
+                d = corners[rng.integers(len(corners))]
+                ends.append(mode.A @ state + mode.B @ xu[len(state) :] + mode.p + d)
+        x = np.array(ends).reshape(-1, loop.system.state_size)
+    return x
+
+
+def assert_replays(loop, F, v, value, witness):
+    """The witness is a trajectory of the loop from F that ends at the value along v."""
+    X, x = loop.system.state_set, witness.states
+    assert (F.H @ x[0] <= F.h + INSIDE).all()
+    for k in range(len(x) - 1):
+        mode, u, d = loop.system.modes[witness.modes[k]], witness.inputs[k], witness.disturbances[k]
+        assert (X.H @ x[k] <= X.h + INSIDE).all()
+        assert np.abs(u - evaluate(loop.network, x[k])).max() <= INSIDE
+        assert (mode.region.H @ np.concatenate([x[k], u]) <= mode.region.h + INSIDE).all()
+        assert (mode.disturbance.H @ d <= mode.disturbance.h + INSIDE).all()
+        assert np.abs(mode.A @ x[k] + mode.B @ u + mode.p + d - x[k + 1]).max() <= INSIDE
+    assert abs(np.asarray(v) @ x[-1] - value) <= INSIDE

@@ -1,0 +1,132 @@
+"""The shipped case studies, and the engines on them: the cells against the MILP and its reading version."""
+
+import numpy as np
+import pytest
+
+import mireach as mr
+from mireach.case_studies import NAMES, data_file
+
+BOUNDARY_POINTS = {
+    "pwa": [(0.0, -4.0), (3.0, 0.0), (0.0, 0.0), (-5.0, 0.0), (0.0, 10.0)],
+    "double_integrator": [(2.0, 0.5), (-2.0, 2.0), (1.0, -2.0), (2.0, -2.0), (6.0, 0.0)],
+}
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def case(request):
+    return mr.case_study(request.param)
+
+
+@pytest.fixture(scope="module")
+def safe(case):
+    return mr.safe_set(case.loop, case.safe_directions)
+
+
+@pytest.fixture(scope="module")
+def terminal(case, safe):
+    return mr.terminal_set(case.loop, safe, case.directions, case.epsilon)
+
+
+def test_unknown_case_is_refused_with_the_names():
+    with pytest.raises(ValueError, match="pwa, double_integrator"):
+        mr.case_study("pwm")
+
+
+def test_shipped_network_has_the_paper_s_shape_and_stays_in_U(case):
+    shape = {"pwa": [(3, 3)] * 3, "double_integrator": [(5, 5)] * 5}[case.name] + [(1, 2)] * 2
+    assert [(layer.width, layer.pool) for layer in case.network.hidden] == shape
+    limit = {"pwa": 1, "double_integrator": 2}[case.name]
+    inputs = case.network(case.system.state_set.sample(np.random.default_rng(0), 20_000))
+    assert np.abs(inputs).max() <= limit
+
+
+def test_own_torch_module_takes_the_place_of_the_network(case):
+    torch = pytest.importorskip("torch")
+    module = torch.nn.Sequential(torch.nn.Linear(2, 4), torch.nn.ReLU(), torch.nn.Linear(4, 1, bias=False))
+    for parameter in module.parameters():
+        torch.nn.init.zeros_(parameter)
+    own = mr.case_study(case.name, module)
+    assert own.loop.network(np.ones(2)) == 0
+
+
+def test_safe_and_terminal_sets_are_never_left_by_extreme_disturbances(case, safe, terminal):
+    rng = np.random.default_rng(1)
+    for P in (safe.set, terminal.set):
+        x = np.vstack(
+            [P.sample(rng, 20_000), P.vertices().mean(0) + (P.vertices() - P.vertices().mean(0)) * (1 - 1e-12)]
+        )
+        for d in case.system.modes[0].disturbance.vertices():
+            assert P.contains(case.loop.step(x) + d, tol=1e-9).all()
+
+
+def test_sets_are_proven_by_both_engines(case, safe, terminal):
+    for P in (safe.set, terminal.set):
+        for engine in ("cells", "milp"):
+            assert mr.check_rpi(case.loop, P, engine).verdict == "proven"
+
+
+def test_cells_agree_with_the_milp(case, safe, terminal):
+    points = [*case.starts, *map(np.array, BOUNDARY_POINTS[case.name])]
+    for F in (case.system.state_set, safe.set, terminal.set, *(mr.Polytope.box(x, x) for x in points)):
+        cells = mr.support(case.loop, F, case.directions, engine="cells")
+        milp = mr.support(case.loop, F, case.directions, engine="milp")
+        np.testing.assert_allclose(cells.value, milp.value, atol=1e-7)
+        np.testing.assert_allclose(cells.bound, milp.bound, atol=1e-7)
+        assert (milp.bound >= cells.value).all() and (cells.bound >= milp.value).all()
+
+
+def test_reading_version_of_the_milp_agrees(case, terminal):
+    pytest.importorskip("cvxpy")
+    cells = mr.support(case.loop, terminal.set, case.directions[:3], engine="cells")
+    model = mr.support(case.loop, terminal.set, case.directions[:3], engine="cvxpy")
+    np.testing.assert_allclose(cells.value, model.value, atol=1e-6)
+
+
+def test_both_maps_count_where_regions_share_a_boundary(case):
+    for x in map(np.array, BOUNDARY_POINTS[case.name]):
+        u = case.network(x)
+        touching = [m for m in case.system.modes if (m.region.H @ [*x, *u] <= m.region.h + 1e-12).all()]
+        reached = [m.successor(x, u) @ case.directions.T + m.disturbance.support(case.directions) for m in touching]
+        cells = mr.support(case.loop, mr.Polytope.box(x, x), case.directions)
+        assert len(touching) > 1 or case.name == "double_integrator"
+        np.testing.assert_allclose(cells.value, np.max(reached, axis=0), atol=1e-9)
+
+
+def test_two_steps_agree_between_cells_and_milp():
+    case = mr.case_study("pwa")
+    F = mr.Polytope.box([-1, -1], [1, 1])
+    for k in (2, 3):
+        cells = mr.support(case.loop, F, case.directions[:2], steps=k, engine="cells")
+        milp = mr.support(case.loop, F, case.directions[:2], steps=k, engine="milp")
+        np.testing.assert_allclose(cells.value, milp.value, atol=1e-7)
+
+
+def test_three_sides_of_the_pwa_safe_set_follow_from_the_modes():
+    case = mr.case_study("pwa")
+    lower, upper = mr.safe_set(case.loop, case.safe_directions).set.bounding_box()
+    np.testing.assert_allclose([*lower, upper[1]], [-7.3, -10, 8.52], atol=1e-8)
+
+
+def test_lemma_rk_nonlinear_trajectories_of_the_plant_stay_in_the_outer_sets(terminal, case):
+    if case.plant is None:
+        case = mr.case_study("double_integrator")
+        terminal = mr.terminal_set(case.loop, mr.safe_set(case.loop, case.safe_directions), case.directions)
+    starts = terminal.history[0].sample(np.random.default_rng(2), 2000)
+    paths = case.plant.simulate(case.network, starts, terminal.steps)
+    for k, R in enumerate(terminal.history):
+        assert R.contains(paths[:, k], tol=1e-9).all()
+
+
+def test_theorem_2_needs_the_error_inside_the_disturbance_set():
+    case = mr.case_study("double_integrator")
+    safe = mr.safe_set(case.loop, case.safe_directions)
+    terminal = mr.terminal_set(case.loop, safe, case.directions)
+    assert mr.ultimately_bounded(case.plant, case.loop, safe, terminal).verdict == "proven"
+    small = case.loop.with_disturbance(mr.Polytope.box([-0.118, -0.118], [0.118, 0.118]))
+    refused = mr.ultimately_bounded(case.plant, small, safe, terminal)
+    assert refused.verdict == "unknown" and not refused.conditions["f - f_PWA lies in D for every mode"]
+
+
+def test_data_files_are_found(case):
+    for file in ("network.json", "samples.csv", "seeds.csv", "seed_networks.jsonl"):
+        assert data_file(case.name, file).is_file()

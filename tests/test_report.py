@@ -1,0 +1,89 @@
+"""`reproduce`: report.json as fixed, every row of the table, the figures."""
+
+import json
+from itertools import pairwise
+
+import pytest
+
+import mireach as mr
+from mireach.__main__ import main
+from mireach.case_studies import NAMES, PAPER
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reproduce")
+    arguments = ["reproduce", "--quiet", "--no-cross-check", "--results", str(folder), "--figures", str(folder)]
+    assert main(arguments) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(folder):
+    return json.loads((folder / "report.json").read_text())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_report_holds_the_fixed_keys(report, name):
+    assert report["format"] == "mireach-report/1"
+    case = report["cases"][name]
+    assert case["network"] == f"data/{name}/network.json"
+    for key in ("disturbance_bound", "alpha", "delta_max", "stable", "cross_check", "seconds"):
+        assert key in case
+    assert {"H", "h", "iterations", "verdict"} <= set(case["safe_set"])
+    assert {"H", "h", "steps", "epsilon", "centre", "criterion"} <= set(case["terminal_set"])
+    assert {"simulated", "inside_safe_set", "entered_terminal_set"} <= set(case["trajectories"])
+    assert case["paper"] == json.loads(json.dumps(PAPER[name]))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_reported_sequence_runs_from_the_safe_set_to_the_terminal_set(report, name):
+    case = report["cases"][name]
+    sets = [mr.Polytope.from_dict(part) for part in case["reach_sequence"]]
+    assert len(sets) == case["terminal_set"]["steps"] + 1
+    assert case["reach_sequence"][0]["h"] == case["safe_set"]["h"]
+    assert case["reach_sequence"][-1]["h"] == case["terminal_set"]["h"]
+    assert all(after.is_subset(before) for before, after in pairwise(sets))
+    loop = mr.case_study(name).loop
+    assert mr.check_rpi(loop, mr.Polytope.from_dict(case["safe_set"])).verdict == "proven"
+    assert mr.check_rpi(loop, mr.Polytope.from_dict(case["terminal_set"])).verdict == "proven"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_all_trajectories_stay_and_enter(report, name):
+    counts = report["cases"][name]["trajectories"]
+    assert counts["simulated"] == counts["inside_safe_set"] == counts["entered_terminal_set"] == 200
+
+
+def test_table_has_a_row_for_every_number_of_the_paper(folder):
+    text = (folder / "report.md").read_text()
+    for item in (
+        "iterations to F_max",
+        "k-bar (about the origin)",
+        "alpha at k-bar",
+        "delta_max",
+        "[-7.30, 8.91] x [-10.00, 8.52]",
+        "| 51 |",
+        "| 19 |",
+        "| 20 |",
+        "0.1186",
+        "1 + 9e-07",
+        "Theorem 2",
+    ):
+        assert item in text
+
+
+def test_figures_are_drawn_as_svg_and_png(folder):
+    for name in ("figure1", "figure2", "figure3"):
+        assert (folder / f"{name}.svg").stat().st_size > 10_000
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_case_without_a_safe_set_is_reported_with_its_reason():
+    from mireach.report import analyse
+
+    case = mr.case_study("pwa")
+    wide = mr.case_study("pwa").system.with_disturbance(mr.Polytope.box([-5, -5], [5, 5]))
+    object.__setattr__(case, "loop", mr.ClosedLoop(wide, case.network))
+    with pytest.raises(ValueError, match="no safe set"):
+        analyse(case, cross_check=None)

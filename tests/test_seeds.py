@@ -1,0 +1,69 @@
+"""The seed study: rows, choice, files, and a run on a Dask cluster."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mireach import MaxoutNetwork, MireachError
+from mireach.case_studies import NAMES, data_file
+from mireach.errors import CorruptFileError
+from mireach.seeds import SeedRow, analyse_seed, choose, load_networks, load_rows, save_rows, study
+
+ROW = SeedRow(0, 0.01, 100, "proven", 1, -7.3, 9.0, -10.0, 8.52, 50, True, 1.1)
+
+
+def same(row, other):
+    return all(a == b or (a != a and b != b) for a, b in zip(vars(row).values(), vars(other).values()))
+
+
+def test_rows_read_back_to_the_same_numbers(tmp_path):
+    rows = [ROW, replace(ROW, seed=1, loss=0.1 + 0.2, verdict="refuted", x1_max=math.nan, criterion=False)]
+    save_rows(tmp_path / "seeds.csv", rows)
+    assert all(map(same, load_rows(tmp_path / "seeds.csv"), rows))
+
+
+def test_a_truncated_study_is_refused(tmp_path):
+    save_rows(tmp_path / "seeds.csv", [ROW])
+    text = (tmp_path / "seeds.csv").read_text()
+    (tmp_path / "seeds.csv").write_text(text[:-30])
+    with pytest.raises(CorruptFileError, match="seed study"):
+        load_rows(tmp_path / "seeds.csv")
+
+
+def test_choice_prefers_the_paper_s_figures_among_good_losses():
+    near = replace(ROW, seed=1, loss=0.019, steps=51, x1_max=8.91)
+    too_lossy = replace(near, seed=2, loss=0.021)
+    no_criterion = replace(near, seed=3, criterion=False)
+    assert choose("pwa", [ROW, near, too_lossy, no_criterion]).seed == 1
+    with pytest.raises(MireachError, match="train more"):
+        choose("pwa", [no_criterion])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_study_holds_fifty_seeds_and_the_shipped_network_is_the_chosen_one(name):
+    rows, networks = load_rows(data_file(name, "seeds.csv")), load_networks(name)
+    assert len(rows) >= 50 and set(networks) == {row.seed for row in rows}
+    chosen = choose(name, rows)
+    shipped = MaxoutNetwork.load(data_file(name, "network.json"))
+    assert shipped.to_dict() == networks[chosen.seed].to_dict()
+    again = analyse_seed(name, chosen.seed, shipped, chosen.loss)
+    assert (again.cells, again.iterations, again.steps, again.criterion) == (
+        chosen.cells,
+        chosen.iterations,
+        chosen.steps,
+        chosen.criterion,
+    )
+
+
+def test_study_runs_on_a_dask_cluster_and_gives_what_this_machine_gives():
+    distributed = pytest.importorskip("dask.distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        rows, networks = study("pwa", [3, 4], scheduler=cluster.scheduler_address, progress=False, steps=20)
+    here, own = study("pwa", [3, 4], jobs=1, progress=False, steps=20)
+    assert [row.seed for row in rows] == [3, 4]
+    x = np.random.default_rng(0).uniform(-10, 10, (100, 2))
+    for seed in (3, 4):
+        np.testing.assert_array_equal(networks[seed](x), own[seed](x))
+    assert [row.loss for row in rows] == [row.loss for row in here]
