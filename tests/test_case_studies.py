@@ -70,9 +70,8 @@ def test_cells_agree_with_the_milp(case, safe, terminal):
     for F in (case.system.state_set, safe.set, terminal.set, *(mr.Polytope.box(x, x) for x in points)):
         cells = mr.support(case.loop, F, case.directions, engine="cells")
         milp = mr.support(case.loop, F, case.directions, engine="milp")
-        np.testing.assert_allclose(cells.value, milp.value, atol=1e-7)
-        np.testing.assert_allclose(cells.bound, milp.bound, atol=1e-7)
-        assert (milp.bound >= cells.value).all() and (cells.bound >= milp.value).all()
+        np.testing.assert_allclose(cells.value, milp.value, rtol=0, atol=1e-7)
+        assert (milp.bound >= cells.value).all() and (cells.bound >= milp.value - 1e-7).all()
 
 
 def test_reading_version_of_the_milp_agrees(case, terminal):
@@ -98,7 +97,7 @@ def test_two_steps_agree_between_cells_and_milp():
     for k in (2, 3):
         cells = mr.support(case.loop, F, case.directions[:2], steps=k, engine="cells")
         milp = mr.support(case.loop, F, case.directions[:2], steps=k, engine="milp")
-        np.testing.assert_allclose(cells.value, milp.value, atol=1e-7)
+        np.testing.assert_allclose(cells.value, milp.value, rtol=0, atol=1e-7)
 
 
 def test_three_sides_of_the_pwa_safe_set_follow_from_the_modes():

@@ -145,3 +145,33 @@ def plot_vector_field(ax, system, safe, terminal, step, path, reach, arrows=34):
     ax.plot(*path.T, color=RED, linewidth=1.5, marker="o", markersize=3, zorder=4, label="trajectory of the plant")
     label_axes(ax, safe.set)
     legend_above(ax, 4)
+
+
+def plot_history(axes, history, chosen=None, name=r"\mathcal{F}"):
+    """Small multiples of a sequence of sets: each panel one set over its predecessors, for readers without a kernel.
+
+    Parameters
+    ----------
+    axes : array of matplotlib Axes
+        As many panels as are shown.
+    history : list of Polytope
+    chosen : sequence of int or None
+        The steps shown; None spreads them evenly from the first to the last.
+    name : str
+        Of the sets, in mathtext.
+    """
+    axes = np.ravel(axes)
+    if chosen is None:
+        chosen = np.unique(np.linspace(0, len(history) - 1, min(len(axes), len(history))).round().astype(int))
+    for ax, k in zip(axes, chosen):
+        plot_step(ax, history, int(k), name)
+    for ax in axes[len(chosen) :]:
+        ax.set_axis_off()
+
+
+def plot_step(ax, history, k, name=r"\mathcal{F}"):
+    """Set k of a sequence in blue, its predecessors as thin outlines; the view stays that of the first set."""
+    for before in history[:k]:
+        draw_set(ax, before, **{**SEQUENCE, "edgecolor": GREY})
+    draw_set(ax, history[k], **TERMINAL)
+    label_axes(ax, history[0], rf"${name}_{{{k}}}$")

@@ -18,7 +18,7 @@ from .files import write_whole
 from .invariance import safe_set, terminal_set
 from .network import MaxoutNetwork
 
-LOSS_FACTOR = 2.0  # networks whose loss is within this factor of the best may be shipped
+LOSS_FACTOR = 2.0  # a network may be shipped if its loss is within this factor of the best eligible one
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def analyse_seed(name, seed, network, loss):
 
 
 def choose(name, rows):
-    """The row that is shipped: nearest to the paper's figures among those whose loss is within twice the best.
+    """The row that is shipped: the nearest to the paper's figures among networks that fit about as well as any.
 
     Parameters
     ----------
@@ -165,17 +165,21 @@ def choose(name, rows):
     Raises
     ------
     MireachError
-        If no row has both a proven safe set and a terminal set about the origin.
+        If for no row all of the paper's claims hold.
 
     Notes
     -----
-    The distance is the sum of the relative differences of the figures that the paper prints: iterations
-    of F_max, k-bar, and for `pwa` the right end of F_max, the only side of it that depends on the network.
+    Eligible are rows for which the paper's claims hold (a proven safe set, eq. TerminationFmin about the
+    origin, alpha > 1) and whose loss is within twice the best loss of such rows. The distance is the sum of
+    the relative differences of the figures that the paper prints: iterations of F_max, k-bar, and for `pwa`
+    the right end of F_max, the only side of it that depends on the network.
     """
-    paper, best = PAPER[name], min(row.loss for row in rows)
-    good = [r for r in rows if r.verdict == "proven" and r.criterion and r.loss <= LOSS_FACTOR * best]
-    if not good:
-        raise MireachError(f"none of {len(rows)} networks of case {name} has both sets; train more seeds")
+    paper = PAPER[name]
+    sound = [row for row in rows if row.verdict == "proven" and row.criterion and row.alpha > 1]
+    if not sound:
+        raise MireachError(f"none of {len(rows)} networks of case {name} has both sets and alpha > 1; train more seeds")
+    best = min(row.loss for row in sound)
+    good = [row for row in sound if row.loss <= LOSS_FACTOR * best]
 
     def distance(row):
         pairs = [(row.iterations, paper["iterations"]), (row.steps, paper["steps"])]

@@ -19,6 +19,7 @@ from .common import Support, checked_query, empty_support, replay
 MIP_TOLERANCE = 1e-8  # feasibility in the MILP; with 1e-9, HiGHS 1.15 cuts off optimal points in one model of 30
 MARGIN = 1e-8  # added to HiGHS's dual bound, relative to 1 + its size: it may prune what is better by its tolerance
 
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """The MILP of eq. MILPReachableSets, ready for any objective v x(k).
@@ -255,10 +256,11 @@ def _image_bounds(lp, mode, on, xu, bounds):
 def _add_disturbance(lp, modes, gamma, d):
     """Eq. MI_PWA_Hd: H_D d <= h_D + M (1 - gamma), without big-M where all modes have the same set."""
     if len({mode.disturbance for mode in modes}) == 1:
-        lp.add_rows(d, modes[0].disturbance.H, upper=modes[0].disturbance.h)
+        lp.add_rows(d, modes[0].disturbance.H, upper=_widened(0, modes[0].disturbance.h)[1])
         return
     for mode, on in zip(modes, gamma):
         for row, offset in zip(mode.disturbance.H, mode.disturbance.h):
+            offset = _widened(0, offset)[1]
             M = upper_bound(lp, d, row, -offset, "interval")
             if M > 0:
                 lp.add_row([*d, on], [*row, M], upper=offset + M)
@@ -282,7 +284,7 @@ def _require_inputs(lp, loop, x, u, deltas, bounds):
 
 def _widened(low, high):
     """Bounds moved apart by the LP tolerance, so that they cut off nothing."""
-    return low - TOLERANCE * (1 + np.abs(low)), high + TOLERANCE * (1 + np.abs(high))
+    return low - MIP_TOLERANCE * (1 + np.abs(low)), high + MIP_TOLERANCE * (1 + np.abs(high))
 
 
 # -- solving ------------------------------------------------------------------------------------------
