@@ -1,0 +1,100 @@
+"""Side-by-side timings, printed as a Markdown table: python3 run.py bench [--quick]
+
+Medians of several runs in one process on one machine; whole-process figures are of a child process. Nothing here is
+asserted: a slow machine is not a fault.
+"""
+
+import argparse
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+from statistics import median
+from time import perf_counter
+
+import highspy
+import numpy as np
+
+import mireach as mr
+from mireach.engines import cells, milp
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
+    parser.add_argument("--quick", action="store_true", help="leave out the MILP over X and the whole process")
+    quick = parser.parse_args().quick
+    print(f"Python {platform.python_version()}, numpy {np.__version__}, HiGHS {highspy.Highs().version()},", end=" ")
+    print(f"{platform.system()} {platform.machine()}\n")
+    print("| work | median | unit | runs |\n| --- | ---: | --- | ---: |")
+    for name in ("pwa", "double_integrator"):
+        for_case(name, quick)
+    if not quick:
+        whole_process()
+
+
+def for_case(name, quick):
+    """Cells and MILP of one case study."""
+    case = mr.case_study(name)
+    safe, terminal = sets_of(case)
+    X, C = case.system.state_set, case.directions
+    count = len(cells.cells(case.loop))
+    row(f"{name}: build the cells ({count})", lambda: cells.cells(fresh(case)), 1e3, "ms", 20)
+    row(f"{name}: one step, 8 directions over X, cells", lambda: mr.support(case.loop, X, C), 1e3, "ms", 200)
+    row(
+        f"{name}: cells, F_max ({safe.iterations}) and terminal set ({terminal.steps})",
+        lambda: sets_of(case, True),
+        1e3,
+        "ms",
+        10,
+    )
+    for label, F in (("X", X), ("F_max", safe.set), ("the terminal set", terminal.set)):
+        if quick and label == "X":
+            continue
+        row(f"{name}: bounds and model over {label}, MILP", lambda F=F: milp.build(case.loop, F, 1), 1, "s", 3)
+        row(
+            f"{name}: one step, 8 directions over {label}, MILP",
+            lambda F=F: mr.support(case.loop, F, C, engine="milp"),
+            1,
+            "s",
+            3,
+        )
+
+
+def fresh(case):
+    """The loop of a case with a copy of its network, so that nothing is cached."""
+    return mr.ClosedLoop(case.system, mr.MaxoutNetwork.from_dict(case.network.to_dict()))
+
+
+def sets_of(case, anew=False):
+    """Safe set and terminal set of a case, from its cells."""
+    loop = fresh(case) if anew else case.loop
+    safe = mr.safe_set(loop, case.safe_directions)
+    return safe, mr.terminal_set(loop, safe, case.directions, case.epsilon)
+
+
+def row(label, work, factor, unit, runs):
+    """Time `work` after one run that is not counted."""
+    work()
+    seconds = []
+    for _ in range(runs):
+        begin = perf_counter()
+        work()
+        seconds.append(perf_counter() - begin)
+    print(f"| {label} | {median(seconds) * factor:.3g} | {unit} | {runs} |", flush=True)
+
+
+def whole_process():
+    """`reproduce`, cross-check included, as a process of its own: seconds and peak memory."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "mireach", "reproduce", "--quiet", "--results", folder, "--figures", folder]
+        begin = perf_counter()
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        seconds = perf_counter() - begin
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print(f"| reproduce, whole process | {seconds:.3g} | s | 1 |")
+    print(f"| reproduce, peak memory | {peak:.0f} | MiB | 1 |")
+
+
+if __name__ == "__main__":
+    main()
