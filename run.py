@@ -2,7 +2,10 @@
 """The one entry point: makes .venv, installs what is pinned in requirements.txt, runs a task.
 
     python3 run.py reproduce          both case studies -> results/report.md, results/report.json, docs/figures/
-    python3 run.py test               every test
+    python3 run.py test               every test, the notebooks and exercises included
+    python3 run.py lab                JupyterLab on notebooks/
+    python3 run.py exercises          the students' copies of the exercises -> notebooks/exercises/release/
+    python3 run.py notebooks [NAME]   execute the notebooks' .py files and keep the outputs in the .ipynb files
     python3 run.py train CASE         make the data set and the network of CASE (pwa, double_integrator) from scratch
     python3 run.py seeds CASE         the seed study of CASE, on all cores or with --scheduler ADDRESS
     python3 run.py bench              benchmarks/
@@ -25,6 +28,9 @@ TASKS = {
     "test": ["-m", "pytest", "-n", "auto"],
     "train": ["-m", "mireach", "train"],
     "seeds": ["-m", "mireach", "seeds"],
+    "lab": ["-m", "jupyterlab", "notebooks"],
+    "exercises": [str(ROOT / "notebooks" / "exercises" / "release.py")],
+    "notebooks": [str(ROOT / "notebooks" / "build.py")],
     "bench": [str(ROOT / "benchmarks" / "run.py")],
 }
 

@@ -22,7 +22,9 @@ def build(source):
     notebook = jupytext.read(source)
     notebook.metadata["kernelspec"] = {"display_name": "Python 3 (ipykernel)", "language": "python", "name": "python3"}
     begin = perf_counter()
-    NotebookClient(notebook, timeout=CELL_TIMEOUT, resources={"metadata": {"path": str(FOLDER)}}).execute()
+    NotebookClient(
+        notebook, timeout=CELL_TIMEOUT, coalesce_streams=True, resources={"metadata": {"path": str(FOLDER)}}
+    ).execute()
     seconds = perf_counter() - begin
     strip(notebook)
     nbformat.write(notebook, source.with_suffix(".ipynb"))

@@ -1,5 +1,7 @@
 """Random closed loops, and oracles that share no code with the package: they only read its data (H, h, weights)."""
 
+import warnings
+
 import numpy as np
 from scipy.optimize import linprog
 
@@ -73,7 +75,9 @@ def random_loop(seed, n=2, m=1, cuts=2, with_input=False, kinds=KINDS, limits=3.
         )
         for region in cut_regions(rng, n, m, cuts, with_input, limits)
     ]
-    return ClosedLoop(PWASystem(modes, X, U), net)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the region of mode")  # a cut may miss X x U
+        return ClosedLoop(PWASystem(modes, X, U), net)
 
 
 def enclosing_inputs(net, X):
@@ -110,6 +114,17 @@ def jump_loop(left, right, D=None, limits=4.0):
     net = MaxoutNetwork([Layer([[1, 0], [0, 1.0]], [0, 0], 2)], [[0.1]], [0.0])
     X = Polytope.box(-limits * np.ones(2), limits * np.ones(2))
     return ClosedLoop(PWASystem(modes, X, Polytope.box([-1], [1])), net)
+
+
+def narrow_spike(width=1e-3):
+    """A loop whose network leaves U only within `width` of x1 = 0.7123: sampling misses that."""
+    ramp = 2.0 / width
+    hidden = Layer(
+        [[ramp, 0], [0, 0], [-ramp, 0], [0, 0]], [-ramp * 0.7123 + 2, 0, ramp * 0.7123 + 2, 0], 2
+    )  # max(2 + r (x - c), 0) and max(2 - r (x - c), 0): their smallest is a spike of height 2 at c
+    lowest = Layer([[-1.0, 0], [0, -1.0]], [0, 0], 2)
+    net = MaxoutNetwork([hidden, lowest], [[-1.0]], [0.0])
+    return ClosedLoop(affine_loop(0.5 * np.eye(2)).system, net)
 
 
 # -- oracles ------------------------------------------------------------------------------------------
@@ -191,20 +206,23 @@ def _choices(hidden, K, g, A, b):
 
 
 def random_images(loop, F, rng, count, steps=1):
-    """States of R_k(F) (count, n) at most: random starts in F, random closed modes, random extreme disturbances."""
+    """States of R_k(F): random starts in F, every closed mode, random extreme disturbances; those that stay in X."""
     x = F.sample(rng, count)
     for _ in range(steps):
-        x = x[loop.system.state_set.contains(x)]
-        ends = []
-        for state in x:
-            xu = np.concatenate([state, evaluate(loop.network, state)])
-            modes = [mode for mode in loop.system.modes if (mode.region.H @ xu <= mode.region.h).all()]
-            for mode in modes:
-                corners = mode.disturbance.vertices()
-                d = corners[rng.integers(len(corners))]
-                ends.append(mode.A @ state + mode.B @ xu[len(state) :] + mode.p + d)
-        x = np.array(ends).reshape(-1, loop.system.state_size)
+        x = random_successors(loop, x, rng)
     return x
+
+
+def random_successors(loop, x, rng):
+    """Images of those x (N, n) that lie in X: one for each closed region, with a random extreme disturbance."""
+    X, ends = loop.system.state_set, []
+    corners = [mode.disturbance.vertices() for mode in loop.system.modes]
+    for state in x[(x @ X.H.T <= X.h).all(axis=1)]:
+        xu = np.concatenate([state, evaluate(loop.network, state)])
+        for mode, d in zip(loop.system.modes, corners):
+            if (mode.region.H @ xu <= mode.region.h).all():
+                ends.append(mode.A @ state + mode.B @ xu[len(state) :] + mode.p + d[rng.integers(len(d))])
+    return np.array(ends).reshape(-1, loop.system.state_size)
 
 
 def assert_replays(loop, F, v, value, witness):

@@ -25,7 +25,8 @@ class RPICheck:
     margin : array (l,)
         h - h of R_1(F) along H, from the proven bound; negative where a facet is not shown to hold.
     witness : Witness or None
-        A step that leaves F, where the verdict is "refuted".
+        A step that leaves F, where the verdict is "refuted"; no step but the state alone, where F has states
+        outside X.
     reason : str
     """
 
@@ -181,29 +182,24 @@ def check_rpi(loop, F, engine=None, *, tol=None, **options):
         return RPICheck(
             "refuted",
             np.full(len(F.h), -np.inf),
-            None,
+            _standing(loop, F.farthest(X.H[row])),
             f"F holds states outside the state set, beyond its row {row + 1}, where the loop has no successor",
         )
     try:
-        found = support(loop, F, F.H, engine=engine, **options)
-        reason = "R1(F) lies in F"
+        found, stopped = support(loop, F, F.H, engine=engine, **options), ""
     except SolverStopped as stop:
-        found, reason = stop.support, str(stop)
+        found, stopped = stop.support, f"; {stop}"
     margin = F.h - found.bound
     if (margin >= -tol).all():
-        return RPICheck("proven", margin, None, reason)
+        return RPICheck("proven", margin, None, "R1(F) lies in F")
     excess = found.value - F.h
     worst = int(np.argmax(excess))
     if excess[worst] > max(tol, ATTAINED):
         witness = found.witness[worst]
         return RPICheck("refuted", margin, witness, f"facet {worst + 1} is passed by {excess[worst]:.3g}: {witness}")
     worst = int(np.argmin(margin))
-    return RPICheck(
-        "unknown",
-        margin,
-        None,
-        f"facet {worst + 1} is not settled: bound - h = {-margin[worst]:.3g}, attained - h = {excess[worst]:.3g}",
-    )
+    gap = f"bound - h = {-margin[worst]:.3g}, attained - h = {excess[worst]:.3g}"
+    return RPICheck("unknown", margin, None, f"facet {worst + 1} is not settled: {gap}{stopped}")
 
 
 def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progress=False, **options):
@@ -317,6 +313,8 @@ def terminal_set(
     F = _proven_set(loop, safe, engine, options)
     if not epsilon > 0:
         raise ValueError(f"epsilon must be positive; got {epsilon}")
+    if max_steps < 1:
+        raise ValueError(f"max_steps must be at least 1; got {max_steps}")
     engine = default_engine(loop) if engine is None else engine
     tol = RESOLUTION.get(engine, 0.0) if tol is None else tol
     c = _centre(loop, centre)
@@ -338,10 +336,9 @@ def terminal_set(
     if criterion:
         reason = f"eq. TerminationFmin holds at k = {k}"
     elif stagnant:
-        reason = (
-            f"stagnation: R{k} = R{k - 1}, but eq. TerminationFmin about {c.tolist()} fails, and always will; "
-            'try centre="equilibrium"'
-        )
+        reason = f"stagnation: R{k} = R{k - 1}, but eq. TerminationFmin about {c.tolist()} fails, and always will"
+        if isinstance(centre, str) and centre == "origin":
+            reason += '; try centre="equilibrium"'
     else:
         reason = f"max_steps = {max_steps} came first"
     alpha, inner_radius = alphas[-1], ((np.minimum(R.support(V), R.h) - V @ c) / np.linalg.norm(V, axis=1)).min()
@@ -426,6 +423,8 @@ def scaled_minimal_set(
     """
     if not epsilon > 0:
         raise ValueError(f"epsilon must be positive; got {epsilon}")
+    if max_steps < 1:
+        raise ValueError(f"max_steps must be at least 1; got {max_steps}")
     engine = default_engine(loop) if engine is None else engine
     resolution = max(RESOLUTION.get(engine, 0.0) if tol is None else tol, ATTAINED)
     c, V, X = _centre(loop, centre), _template(loop, C), loop.system.state_set
@@ -477,13 +476,21 @@ def ultimately_bounded(plant, loop, safe, terminal):
         "f - f_PWA lies in D for every mode": bool(within),
         "F_max is RPI": safe.verdict == "proven",
         "F_max lies in the plant's X": safe.set is not None and safe.set.is_subset(plant.state_set, ATTAINED),
-        "the terminal set lies in F_max": safe.set is not None and terminal.set.is_subset(safe.set),
+        "the terminal set is reached from F_max": safe.set is not None and terminal.history[0] is safe.set,
         "the terminal set has the origin inside": bool((terminal.set.h > 0).all()),
     }
     return UltimateBound("proven" if all(conditions.values()) else "unknown", conditions)
 
 
 # -- parts --------------------------------------------------------------------------------------------
+
+
+def _standing(loop, x):
+    """A trajectory of no steps at x; None if there is no x."""
+    if x is None:
+        return None
+    n, m = loop.system.state_size, loop.system.input_size
+    return Witness(x[None], np.zeros((0, m)), np.zeros(0, int), np.zeros((0, n)))
 
 
 def _template(loop, C):
@@ -507,7 +514,9 @@ def _with_rows(C, H):
 
 def _offsets(P, V):
     """The offsets of P along the rows of V; inf where V has a row that P has not."""
-    known = {row.tobytes(): offset for row, offset in zip(P.H + 0.0, P.h)}
+    known = {}
+    for row, offset in zip(P.H + 0.0, P.h):  # a row may stand there twice
+        known[row.tobytes()] = min(offset, known.get(row.tobytes(), np.inf))
     return np.array([known.get(row.tobytes(), np.inf) for row in V])
 
 
@@ -517,6 +526,8 @@ def _proven_set(loop, safe, engine, options):
         if safe.verdict != "proven":
             raise ValueError(f"there is no safe set to start from: {safe.reason}")
         return safe.set
+    if safe.is_empty:
+        raise ValueError("the set to start from is empty")
     check = check_rpi(loop, safe, engine, **options)
     if check.verdict != "proven":
         raise ValueError(f"the set to start from is not shown to be RPI: {check.reason}")
@@ -539,7 +550,8 @@ def _centre(loop, centre):
 
 def _growth(R, h_before, c):
     """Largest alpha with alpha (R - c) in R_before - c, where R_before has the rows of R and the offsets h_before."""
-    reach = np.minimum(R.support(R.H), R.h) - R.H @ c
+    # R.h where the row is a facet: the support is rounded, and alpha = 1 + 1e-16 would be a false proof
+    reach = np.minimum(R.support(R.H) + ATTAINED * np.linalg.norm(R.H, axis=1), R.h) - R.H @ c
     if (reach <= 0).any():
         return np.nan
     return float(((h_before - R.H @ c) / reach).min())

@@ -33,7 +33,7 @@ class Layer:
         object.__setattr__(self, "bias", real_array(self.bias, "bias", 1))
         if len(self.weight) != len(self.bias):
             raise ValueError(f"weight has {len(self.weight)} rows but bias has {len(self.bias)} entries")
-        if isinstance(self.pool, bool) or self.pool != int(self.pool) or self.pool < 1:
+        if isinstance(self.pool, bool) or not float(self.pool).is_integer() or self.pool < 1:
             raise ValueError(f"pool must be a whole number of at least 1; got {self.pool!r}")
         object.__setattr__(self, "pool", int(self.pool))
         if not len(self.bias) or len(self.bias) % self.pool:
@@ -147,8 +147,7 @@ class MaxoutNetwork:
             If lower > upper somewhere.
         """
         m = self.output_size
-        lower = real_array(np.broadcast_to(lower, m), "lower", 1)
-        upper = real_array(np.broadcast_to(upper, m), "upper", 1)
+        lower, upper = _per_output(lower, "lower", m), _per_output(upper, "upper", m)
         if (lower > upper).any():
             raise ValueError(f"lower must not exceed upper; got {lower} and {upper}")
         raise_up = Layer(
@@ -258,6 +257,14 @@ class MaxoutNetwork:
             return MaxoutNetwork.from_dict(value)
         except ValueError as error:
             raise CorruptFileError(f"{path} holds no network: {error}") from error
+
+
+def _per_output(limit, name, count):
+    """A number, or an array of one number an output, as an array (count,)."""
+    limit = real_array(limit, name, np.ndim(limit))
+    if limit.shape not in ((), (count,)):
+        raise ValueError(f"{name} has shape {limit.shape}, but the network has {count} outputs; give one number each")
+    return np.broadcast_to(limit, count)
 
 
 def _flatten(module):

@@ -32,7 +32,8 @@ def draw_set(ax, P, **style):
     if len(corners) > 2:
         return ax.add_patch(Polygon(corners, closed=True, **style))
     colour, label = style.get("edgecolor", BLACK), style.get("label")
-    return ax.plot(*corners.T, "." if len(corners) == 1 else "-", color=colour, label=label)[0]
+    line = "." if len(corners) == 1 else style.get("linestyle", "-")
+    return ax.plot(*corners.T, line, color=colour, linewidth=style.get("linewidth"), label=label)[0]
 
 
 def draw_regions(ax, system):

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from .checks import real_array, require_columns
 from .lp import LinearProgram
 
-TOUCH = 1e-11  # vertices count as one point, and as inside, within this distance (relative to 1 + largest offset)
+TOUCH = 1e-11  # vertices count as one point, and as inside, within this distance (relative to 1 + the size of the set)
 MOST_VERTEX_CANDIDATES = 2_000_000  # subsets of rows that `vertices` is willing to try
 
 
@@ -161,6 +161,11 @@ class Polytope:
         lp, x = self._program
         return np.array([lp.maximize(x, v).value for v in V])
 
+    def farthest(self, v):
+        """A point (n,) of P that attains h_P(v), or None if P is empty or unbounded along v."""
+        lp, x = self._program
+        return lp.maximize(x, np.asarray(v, float)).point
+
     @cached_property
     def _program(self):
         """The constraints H x <= h as a linear program, and the indices of x."""
@@ -178,9 +183,14 @@ class Polytope:
     @cached_property
     def is_bounded(self):
         """True if P is empty or its support function is finite everywhere."""
+        return self.is_empty or self._extent < np.inf
+
+    @cached_property
+    def _extent(self):
+        """Largest coordinate, up to sign, of a nonempty set."""
         lp, x = self._program
         identity = np.eye(self.dimension)
-        return self.is_empty or all(lp.maximize(x, v).value < np.inf for v in np.vstack([identity, -identity]))
+        return max(lp.maximize(x, v).value for v in np.vstack([identity, -identity]))
 
     def contains(self, x, tol=0.0):
         """Whether H x <= h + tol.
@@ -252,7 +262,7 @@ class Polytope:
         subsets = np.array(list(combinations(range(len(h)), n)))
         regular = np.abs(np.linalg.det(H[subsets])) > 1e-12
         points = np.linalg.solve(H[subsets[regular]], h[subsets[regular]][..., None])[..., 0]
-        scale = 1 + np.abs(h).max()
+        scale = 1 + abs(self._extent)  # not the largest offset: a redundant row may lie far away
         excess = (points @ H.T - h).max(axis=1)
         inside = excess <= max(TOUCH * scale, excess.min())  # a set that is empty by a rounding error is a point
         points = _distinct(points[inside], TOUCH * scale)
@@ -325,14 +335,16 @@ class Polytope:
             Uniform where the set fills at least a tenth of its bounding box; otherwise random convex
             combinations of its vertices, which favour the middle.
         """
+        if self.is_empty:
+            raise ValueError("the polytope is empty; nothing can be drawn from it")
+        if not self.is_bounded:
+            raise ValueError("the polytope is unbounded; intersect it with a box before drawing from it")
         lower, upper = self.bounding_box()
         draws = rng.uniform(lower, upper, (20 * size + 100, self.dimension))
         inside = draws[self.contains(draws)]
         if len(inside) >= max(size, len(draws) / 10):
             return inside[:size]
         corners = self._vertices
-        if not len(corners):
-            raise ValueError("the polytope is empty; nothing can be drawn from it")
         return rng.dirichlet(np.ones(len(corners)), size) @ corners
 
 

@@ -11,7 +11,7 @@ from .polytope import Polytope
 ENGINES = {"cells": "cells", "milp": "milp", "cvxpy": "model"}  # name -> module in `engines` with its `support`
 RESOLUTION = {
     "cells": 0.0,
-    "milp": 1e-7,
+    "milp": 1e-6,
     "cvxpy": 1e-5,
 }  # what an engine's bound may lie above the truth, and ties with it
 

@@ -262,15 +262,19 @@ def _cross_check(case, safe, terminal, engine, other, progress):
     origin = np.zeros(case.system.state_size)
     points = [Polytope.box(x, x) for x in (*case.starts, origin)]
     sets = [case.system.state_set, safe.set, terminal.set, *points]
-    differences = []
+    values, bounds, safe_side = [], [], True
     for F in tqdm(sets, desc=f"cross-check by {other}", unit="set", disable=not progress):
         here = support(case.loop, F, case.directions, engine=engine)
         there = support(case.loop, F, case.directions, engine=other)
-        differences += [np.abs(here.value - there.value), np.abs(here.bound - there.bound)]
+        values.append(np.abs(here.value - there.value))
+        bounds.append(np.abs(here.bound - there.bound))
+        safe_side &= bool((there.bound >= here.value).all())
     return {
         "engine": other,
         "supports_compared": len(sets) * len(case.directions),
-        "largest_difference": float(np.max(differences)),
+        "largest_difference": float(np.max(values)),
+        "largest_difference_of_bounds": float(np.max(bounds)),
+        "bounds_on_the_safe_side": safe_side,
         "safe_set_rpi": check_rpi(case.loop, safe.set, other).verdict,
         "terminal_set_rpi": check_rpi(case.loop, terminal.set, other).verdict,
     }
@@ -304,7 +308,12 @@ def _common_rows(analysis):
         "the saturation layers add 4",
     )
     solved = len(case.data)
-    yield "states of the data set", paper["samples"], paper["samples"], f"{solved} feasible, all solved here"
+    yield (
+        "states of the data set",
+        paper["samples"],
+        paper["samples"],
+        f"{solved} have a solution, for {len(case.data.infeasible)} none was found",
+    )
     yield "disturbance bound", paper["disturbance_bound"], case.disturbance_bound, ""
     yield (
         "iterations to F_max",
@@ -366,7 +375,8 @@ def _common_rows(analysis):
 def _pwa_rows(analysis):
     (low, high), paper = analysis.safe.set.bounding_box(), analysis.case.paper["safe_set_box"]
     here, there = _box(low, high), _box(*map(np.array, paper))
-    yield "F_max", there, here, "three sides follow from the modes and X; only the right one depends on the network"
+    why = "top and bottom follow from the modes and X, the left side if Phi(0, -10) = 1; the right one is the network's"
+    yield "F_max", there, here, why
 
 
 def _integrator_rows(analysis):

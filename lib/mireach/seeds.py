@@ -18,6 +18,7 @@ from .files import write_whole
 from .invariance import safe_set, terminal_set
 from .network import MaxoutNetwork
 
+CLEAR = 1e-6  # an alpha counts as above 1 by more than this, what a MILP solver resolves
 LOSS_FACTOR = 2.0  # a network may be shipped if its loss is within this factor of the best eligible one
 
 
@@ -170,12 +171,12 @@ def choose(name, rows):
     Notes
     -----
     Eligible are rows for which the paper's claims hold (a proven safe set, eq. TerminationFmin about the
-    origin, alpha > 1) and whose loss is within twice the best loss of such rows. The distance is the sum of
-    the relative differences of the figures that the paper prints: iterations of F_max, k-bar, and for `pwa`
-    the right end of F_max, the only side of it that depends on the network.
+    origin, alpha > 1 by more than `CLEAR`) and whose loss is within twice the best loss of such rows. The
+    distance is the sum of the relative differences of the figures that the paper prints: iterations of
+    F_max, k-bar, and for `pwa` the right end of F_max, the side of it that differs between the networks.
     """
     paper = PAPER[name]
-    sound = [row for row in rows if row.verdict == "proven" and row.criterion and row.alpha > 1]
+    sound = [row for row in rows if row.verdict == "proven" and row.criterion and row.alpha > 1 + CLEAR]
     if not sound:
         raise MireachError(f"none of {len(rows)} networks of case {name} has both sets and alpha > 1; train more seeds")
     best = min(row.loss for row in sound)

@@ -128,8 +128,8 @@ def support(loop, F, V, steps=1):
     Returns
     -------
     Support
-        `bound` is the value rounded up by at most 3e-11 of the size of X and its image, so that
-        rounding errors are covered and equal sets give equal numbers.
+        `bound` is the value rounded up by at most 3e-11 of the size of X and its image (times |v| for
+        long rows), so that rounding errors are covered and equal sets give equal numbers.
 
     Raises
     ------
@@ -160,7 +160,8 @@ def support(loop, F, V, steps=1):
     if not np.isfinite(value).all():
         return empty_support(len(V))
     witness = tuple(_witness(loop, every, F, v, *end) for v, end in zip(V, ends))
-    return Support(value, np.ceil(value / every.unit + 0.05) * every.unit, witness)
+    unit = every.unit * 2.0 ** np.floor(np.log2(np.linalg.norm(V, axis=1, ord=2).clip(1)))
+    return Support(value, np.ceil(value / unit + 0.05) * unit, witness)
 
 
 # -- building the cells -------------------------------------------------------------------------------
@@ -176,7 +177,8 @@ def _loop_cells(loop):
     A, B, p = (np.array([getattr(mode, name) for mode in loop.system.modes])[found.mode] for name in "ABp")
     every = LoopCells(found, A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p, 0.0)
     images = every.images(found.polygons, np.arange(len(found)))
-    size = max(_size(found.polygons.points), _size(images))
+    limits = [mode.disturbance.bounding_box() for mode in loop.system.modes]
+    size = max(_size(found.polygons.points), _size(images), _size(np.array(limits)))
     return replace(every, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
 
 

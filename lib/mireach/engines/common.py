@@ -74,7 +74,7 @@ def checked_query(loop, F, V, steps):
     Raises
     ------
     ValueError
-        If F or V do not fit the state, F is unbounded beyond X, or steps is not a positive whole number.
+        If F or V do not fit the state, or steps is not a positive whole number.
     """
     n = loop.system.state_size
     V = real_array(V, "V", 2)

@@ -16,8 +16,12 @@ from ..lp import TOLERANCE, LinearProgram
 from .bounds import METHODS, SAFETY, lower_bound, upper_bound
 from .common import Support, checked_query, empty_support, replay
 
-MIP_TOLERANCE = 1e-8  # feasibility in the MILP; with 1e-9, HiGHS 1.15 cuts off optimal points in one model of 30
-MARGIN = 1e-8  # added to HiGHS's dual bound, relative to 1 + its size: it may prune what is better by its tolerance
+MIP_TOLERANCE = 1e-8  # feasibility in the MILP; bounds.SAFETY has to stay far above it
+MARGIN = (
+    2e-9  # beside MIP_TOLERANCE, by which HiGHS may prune what is better: for gap and LPs, relative to 1 + the bound
+)
+DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
+INPUT_TOLERANCE = 1e-7  # how far Phi may leave U, for rounding (relative to 1 + the size of the limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +72,14 @@ def support(loop, F, V, steps=1, *, bounds="lp", time_limit=None, gap=1e-9):
     -------
     Support
         `bound` is HiGHS's dual bound plus its tolerance, `value` what the witness attains when it is
-        replayed on the loop (constraints hold to HiGHS's tolerance of 1e-9).
+        replayed on the loop (constraints hold to HiGHS's tolerance of 1e-8).
 
     Raises
     ------
     SolverStopped
         If the time limit came first; its `support` holds what is known.
+    SolverError
+        If HiGHS ends without an answer, or with bounds that its own trajectories pass.
     ValueError
         If Phi leaves U at some state of F & X.
     """
@@ -87,12 +93,13 @@ def support(loop, F, V, steps=1, *, bounds="lp", time_limit=None, gap=1e-9):
         limit, point, finished = _solve(model, v, time_limit)
         if limit == -np.inf:
             return empty_support(len(V))
-        bound[row] = limit + MARGIN * (1 + abs(limit))
+        bound[row] = limit + MIP_TOLERANCE + MARGIN * (1 + abs(limit))
         stopped |= not finished
         if point is not None:
             modes = [int(np.argmax(point[columns])) for columns in model.modes]
             witness[row] = replay(loop, point[model.states[0]], modes, [point[d] for d in model.disturbances])
             value[row] = min(v @ witness[row].states[-1], bound[row])
+    _require_consistent(V, bound, witness)
     found = Support(value, bound, tuple(witness))
     if stopped:
         raise SolverStopped(f"HiGHS was stopped by time_limit = {time_limit} s; allow more time", found)
@@ -119,7 +126,7 @@ def build(loop, F, steps, bounds="lp"):
         return None
     lp = LinearProgram()
     x = lp.add_columns(*_widened(*start.bounding_box()))
-    lp.add_rows(x, F.H, upper=_widened(0, F.h)[1])
+    lp.add_rows(x, F.H, upper=F.h)
     states, modes, disturbances, binaries = [x], [], [], []
     for _ in range(steps):
         lp.add_rows(x, loop.system.state_set.H, upper=loop.system.state_set.h)
@@ -256,11 +263,10 @@ def _image_bounds(lp, mode, on, xu, bounds):
 def _add_disturbance(lp, modes, gamma, d):
     """Eq. MI_PWA_Hd: H_D d <= h_D + M (1 - gamma), without big-M where all modes have the same set."""
     if len({mode.disturbance for mode in modes}) == 1:
-        lp.add_rows(d, modes[0].disturbance.H, upper=_widened(0, modes[0].disturbance.h)[1])
+        lp.add_rows(d, modes[0].disturbance.H, upper=modes[0].disturbance.h)
         return
     for mode, on in zip(modes, gamma):
         for row, offset in zip(mode.disturbance.H, mode.disturbance.h):
-            offset = _widened(0, offset)[1]
             M = upper_bound(lp, d, row, -offset, "interval")
             if M > 0:
                 lp.add_row([*d, on], [*row, M], upper=offset + M)
@@ -269,22 +275,34 @@ def _add_disturbance(lp, modes, gamma, d):
 def _require_inputs(lp, loop, x, u, deltas, bounds):
     """Raise ValueError if Phi leaves U: by the relaxation's bounds, and by a MILP where they do not settle it."""
     U = loop.system.input_set
-    open_rows = [
-        r for r in range(len(U.h)) if upper_bound(lp, u, U.H[r], -U.h[r], bounds) > 10 * SAFETY * (1 + abs(U.h[r]))
-    ]
+    tol = INPUT_TOLERANCE * (1 + np.abs(U.h))
+    open_rows = [r for r in range(len(U.h)) if upper_bound(lp, u, U.H[r], -U.h[r], bounds) > tol[r]]
     if not open_rows:
         return
     model = Model(lp, [x, u], [], [], np.array(deltas, np.int32))
     _declare_binaries(model, gap=1e-9)
     for r in open_rows:
         _, point, _ = _solve(model, U.H[r])
-        require_inputs(loop, point[x][None], tol=10 * SAFETY * (1 + abs(U.h[r])))
+        if point is not None:  # None: no state gets here
+            require_inputs(loop, point[x][None], tol=tol[r])
     _relax_binaries(model)
 
 
+def _require_consistent(V, bound, witness):
+    """Raise SolverError if a trajectory found for one direction passes the bound of another."""
+    ends = np.array([found.states[-1] for found in witness if found is not None]).reshape(-1, V.shape[1])
+    excess = (ends @ V.T).max(axis=0, initial=-np.inf) - bound
+    worst = int(np.argmax(excess))
+    if excess[worst] > DOUBT * (1 + abs(bound[worst])):
+        raise SolverError(
+            f"HiGHS bounds direction {V[worst].tolist()} by {bound[worst]:.9g}, but a trajectory passes this by "
+            f'{excess[worst]:.3g}; try bounds="interval", or engine="cells" for two states'
+        )
+
+
 def _widened(low, high):
-    """Bounds moved apart by the LP tolerance, so that they cut off nothing."""
-    return low - MIP_TOLERANCE * (1 + np.abs(low)), high + MIP_TOLERANCE * (1 + np.abs(high))
+    """Bounds moved apart so that they cut off nothing; rows beside them hold the exact limits."""
+    return low - SAFETY * (1 + np.abs(low)), high + SAFETY * (1 + np.abs(high))
 
 
 # -- solving ------------------------------------------------------------------------------------------
@@ -319,6 +337,11 @@ def _solve(model, v, time_limit=None):
     if time_limit is not None:  # HiGHS counts the seconds of all runs of a model together
         lp.highs.setOptionValue("time_limit", lp.highs.getRunTime() + time_limit)
     lp.highs.run()
+    if lp.highs.getModelStatus() not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kTimeLimit):
+        lp.highs.clearSolver()  # no answer, or infeasible: that has to hold from the start and without presolve too
+        lp.highs.setOptionValue("presolve", "off")
+        lp.highs.run()
+        lp.highs.setOptionValue("presolve", "choose")
     status, info = lp.highs.getModelStatus(), lp.highs.getInfo()
     if status == highspy.HighsModelStatus.kInfeasible:
         return -np.inf, None, True

@@ -16,7 +16,7 @@ ZERO_GAP = {
     "HIGHS": {
         "mip_rel_gap": 1e-9,
         "mip_abs_gap": 1e-9,
-        "mip_feasibility_tolerance": 1e-9,
+        "mip_feasibility_tolerance": 1e-8,  # with 1e-9, HiGHS 1.15 has been seen to cut off optimal points
         "primal_feasibility_tolerance": 1e-9,
     },
     "SCIP": {"scip_params": {"limits/gap": 1e-9, "numerics/feastol": 1e-9}},

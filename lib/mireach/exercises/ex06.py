@@ -1,0 +1,212 @@
+"""Checks of exercise 06: safe and terminal sets of the four-mode loop."""
+
+import numpy as np
+
+from ..case_studies import case_study
+from ..invariance import check_rpi, safe_set
+from ..loop import ClosedLoop
+from ..network import Layer, MaxoutNetwork
+from ..plants import pwa_plant
+from ..polytope import Polytope, box_directions, directions
+from ..reach import support
+from ..system import PWASystem
+from .common import require, require_array, require_close, require_filled
+
+ACCURACY = 1e-4  # of a largest disturbance bound, in units of x
+ROWS, ROUGH = 5, 0.5  # task 4: rows of a template, and the disturbance bound that it shall stand
+APART, FUTURES = 4.0, 6  # task 6: distance of two futures in units of x, and the most steps to get there
+INSIDE = 1e-9  # for rounding of states and disturbances
+STEPS = 100  # iterations after which a check stops looking for a safe set
+
+
+def check_t1(top, bottom):
+    """Task 1: top(limit, bound) and bottom(limit, bound), the largest and smallest x2 of R_1(X) under any controller.
+
+    Parameters
+    ----------
+    top, bottom : callable
+        float, float -> number.
+
+    Raises
+    ------
+    Wrong
+        With a limit, a bound, and by how much an answer is off for a random network.
+    """
+    rng = np.random.default_rng()
+    for _ in range(4):
+        limit, bound = rng.uniform(3, 12), rng.uniform(0, 1)
+        loop = _random_loop(rng, limit, bound)
+        true_top, minus_bottom = support(loop, loop.system.state_set, [[0, 1], [0, -1]]).value
+        case = f"(limit = {limit:.3f}, bound = {bound:.3f})"
+        require_close(top(limit, bound), true_top, f"top{case}", 1e-6)
+        require_close(bottom(limit, bound), -minus_bottom, f"bottom{case}", 1e-6)
+    print("ok: top and bottom of R1(X), whatever the network")
+
+
+def check_t2(find_safe_set):
+    """Task 2: find_safe_set(loop, C, most) = (F_max, k) of Proposition Fmax, or (None, None).
+
+    Parameters
+    ----------
+    find_safe_set : callable
+        ClosedLoop, (l, n), int -> (Polytope or None, int or None).
+
+    Raises
+    ------
+    Wrong
+        If a set is not RPI or not F_max, if k is not its number, or if None and a set are mixed up.
+    """
+    rng = np.random.default_rng()
+    integrator = case_study("double_integrator")
+    cases = [
+        (disturbed_loop(rng.uniform(0.02, 0.18)), box_directions(2)),
+        (disturbed_loop(rng.uniform(0.3, 0.6)), directions(8)),
+        (disturbed_loop(rng.uniform(0.3, 0.6)), box_directions(2)),
+        (integrator.loop, integrator.directions),
+    ]
+    for loop, C in cases:
+        answer = find_safe_set(loop, C, STEPS)
+        require_filled(answer, "find_safe_set")
+        require(
+            isinstance(answer, tuple) and len(answer) == 2,
+            f"find_safe_set must return (set, k) or (None, None); got {type(answer).__name__}",
+        )
+        F, k = answer
+        true = safe_set(loop, C, max_iterations=STEPS)
+        case = f"with {len(loop.system.modes)} modes, {len(C)} directions and {_size(loop):.3f} of disturbance"
+        if true.set is None:
+            require(F is None, f"{case} you return a set, but there is none: {true.reason}")
+            continue
+        require(F is not None, f"{case} you find no set, but F{true.iterations} is one")
+        require(isinstance(F, Polytope), f"the set must be a Polytope; got {type(F).__name__}")
+        check = check_rpi(loop, F, tol=INSIDE)
+        require(check.verdict == "proven", f"{case} your set is not RPI: {check.reason}")
+        gap = np.abs(F.support(C) - true.set.support(C)).max()
+        require(gap < 1e-6, f"{case} your set is RPI, but not F_k of eq. Fk: it differs by {gap:.3g} along a direction")
+        require(k == true.iterations, f"{case} your set is right, but its number is not {k}; F_0 = X has number 0")
+    print("ok: Proposition Fmax, with its honest None")
+
+
+def check_t3(largest_bound):
+    """Task 3: the largest b for which boxes find a safe set under |d|_inf <= b, to within `ACCURACY`.
+
+    Parameters
+    ----------
+    largest_bound : float
+
+    Raises
+    ------
+    Wrong
+        If no safe set is found just below, or one just above.
+    """
+    b = float(require_array(largest_bound, (), "largest_bound"))
+    require(b > ACCURACY, f"a disturbance bound is positive; largest_bound = {b:g}")
+    below, above = (safe_set(disturbed_loop(b + sign * ACCURACY), box_directions(2)) for sign in (-1, 1))
+    require(below.set is not None, f"largest_bound = {b:.6g} is too large: just below it, {below.reason}")
+    require(above.set is None, f"largest_bound = {b:.6g} is too small: at {b + ACCURACY:.6g} there still is a safe set")
+    print(f"ok: boxes find a safe set up to |d| <= {b:.4f}, and none from {b + ACCURACY:.4f} on")
+
+
+def check_t4(C):
+    """Task 4: a template of at most `ROWS` rows with which a safe set is found for |d|_inf <= `ROUGH`.
+
+    Parameters
+    ----------
+    C : array (l, 2)
+
+    Raises
+    ------
+    Wrong
+        If C has too many rows, does not bound a set, or finds no safe set.
+    """
+    C = require_array(C, (None, 2), "C")
+    require(0 < len(C) <= ROWS, f"C has {len(C)} rows, but may have at most {ROWS}")
+    require((np.linalg.norm(C, axis=1) > 0).all(), "C has a row of zeros, which is no direction")
+    require(Polytope(C, np.ones(len(C))).is_bounded, "sets {x : C x <= h} are unbounded with this C; a side is missing")
+    loop = disturbed_loop(ROUGH)
+    found = safe_set(loop, C, max_iterations=STEPS)
+    require(found.set is not None, f"no safe set with this C: {found.reason}")
+    print(f"ok: {len(C)} rows, and a safe set after {found.iterations} iteration(s)")
+
+
+def check_t5(growth):
+    """Task 5: growth(before, after), the largest alpha with alpha * after in before.
+
+    Parameters
+    ----------
+    growth : callable
+        Polytope, Polytope -> number; both sets have the origin inside.
+
+    Raises
+    ------
+    Wrong
+        If alpha * after leaves `before`, or a larger alpha would do.
+    """
+    rng = np.random.default_rng()
+    for _ in range(6):
+        after = Polytope.from_points(rng.uniform(0.4, 1, 7)[:, None] * directions(7))
+        H = directions(int(rng.integers(4, 9)))
+        loose = Polytope(after.H, after.h * rng.choice([1.0, 1.5], len(after.h)))
+        after = Polytope(np.vstack([after.H, H]), np.concatenate([after.h, loose.support(H) + 0.3]))  # idle rows
+        before = Polytope(H, after.support(H) * rng.uniform(0.9, 1.4, len(H)))
+        alpha = float(require_array(growth(before, after), (), "growth(before, after)"))
+        require(alpha > 0, f"growth returns {alpha:g}, but alpha must be positive")
+        excess = (after.scale(alpha).support(H) - before.h).max()
+        require(
+            excess <= 1e-7, f"growth returns alpha = {alpha:.6f}, but alpha * after leaves `before` by {excess:.3g}"
+        )
+        excess = (after.scale(alpha * (1 + 1e-6)).support(H) - before.h).max()
+        require(excess > 0, f"growth returns alpha = {alpha:.6f}, but a larger alpha is possible as well")
+    print("ok: the largest alpha of eq. StabCondFmin, below 1 where a set has grown")
+
+
+def check_t6(x0, first, second):
+    """Task 6: two disturbance sequences from one state of F_max that end at least `APART` from each other.
+
+    Parameters
+    ----------
+    x0 : array (2,)
+    first, second : array (steps, 2)
+        At most `FUTURES` steps.
+
+    Raises
+    ------
+    Wrong
+        If x0 is not in F_max, a disturbance is too large, or the futures are too close.
+    """
+    case = case_study("pwa")
+    F = safe_set(case.loop, case.safe_directions).set
+    x0 = require_array(x0, (2,), "x0")
+    first, second = require_array(first, (None, 2), "first"), require_array(second, (None, 2), "second")
+    require(F.contains(x0, tol=INSIDE), f"x0 = {x0.round(4).tolist()} is not in F_max")
+    require(len(first) == len(second), f"both futures need the same number of steps; got {len(first)}, {len(second)}")
+    require(1 <= len(first) <= FUTURES, f"between 1 and {FUTURES} steps are allowed; got {len(first)}")
+    for name, d in (("first", first), ("second", second)):
+        worst = np.abs(d).max()
+        require(
+            worst <= case.disturbance_bound + INSIDE,
+            f"{name} holds a disturbance of size {worst:.4g}, beyond {case.disturbance_bound}",
+        )
+    ends = [case.loop.simulate(x0, len(d), d)[-1] for d in (first, second)]
+    distance = float(np.abs(ends[0] - ends[1]).max())
+    require(distance >= APART, f"the futures end only {distance:.3f} apart (largest coordinate); {APART:g} are needed")
+    print(f"ok: after {len(first)} steps the two futures are {distance:.2f} apart")
+
+
+def disturbed_loop(bound):
+    """The shipped four-mode loop with |d|_inf <= bound."""
+    return case_study("pwa").loop.with_disturbance(Polytope.box([-bound, -bound], [bound, bound]))
+
+
+def _random_loop(rng, limit, bound):
+    """The four modes on |x|_inf <= limit with a random network."""
+    plant = pwa_plant(bound)
+    X = Polytope.box([-limit, -limit], [limit, limit])
+    hidden = [Layer(rng.normal(size=(6, 2)), rng.normal(size=6), 2)]
+    network = MaxoutNetwork(hidden, rng.normal(size=(1, 3)), rng.normal(size=1)).saturate([-1.0], [1.0])
+    return ClosedLoop(PWASystem(plant.modes, X, plant.input_set), network)
+
+
+def _size(loop):
+    """Largest entry of a disturbance."""
+    return max(np.abs(mode.disturbance.vertices()).max() for mode in loop.system.modes)

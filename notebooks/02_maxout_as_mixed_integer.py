@@ -1,0 +1,413 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#   kernelspec:
+#     display_name: Python 3 (ipykernel)
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Write a maxout network as mixed-integer constraints
+#
+# **What you will do.** Turn one maxout neuron into linear inequalities with binary variables, by hand, in cvxpy; then a
+# whole network, so that a solver can find the largest output over *all* states of a set. Then you break the model: once
+# with a big-$M$ that is too small, and once with one that is too large.
+#
+# **What you will learn.** What each line of eq. MI_Constraints_NN is for; how many binaries a network costs; why a
+# big-$M$ that is too small makes every proof worthless, while one that is too large makes it slow and can make it wrong
+# as well; and where this package takes its big-$M$ from.
+#
+# **What you need.** Notebook 01 (support functions), and some cvxpy: `cp.Variable`, `cp.Problem`, `solve`.
+#
+# *Run all* takes about half a minute.
+
+# %%
+import cvxpy as cp
+import matplotlib.pyplot as plt
+import numpy as np
+
+import mireach as mr
+from mireach.plotting import BLACK, BLUE, GREEN, ORANGE, RED
+
+# %% [markdown]
+# ## 1. One neuron
+#
+# A maxout neuron with $p$ channels computes the largest of $p$ affine functions of its input (eq. maxout):
+#
+# $$ g(z) = \max_{1 \le j \le p} z_j, \qquad z = W y + b . $$
+#
+# Our example has one input $x \in [-3, 3]$ and three channels.
+
+# %%
+W, b = np.array([[1.0], [-1.0], [0.2]]), np.array([-1.0, -1.5, 0.5])
+xs = np.linspace(-3, 3, 121)
+Z = xs[:, None] @ W.T + b  # channels z_j, one a column
+fig, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
+for j, (colour, style) in enumerate(zip((BLUE, ORANGE, GREEN), ("--", "-.", ":"))):
+    ax.plot(xs, Z[:, j], style, color=colour, linewidth=2, label=f"channel $z_{j + 1}$")
+ax.plot(xs, Z.max(axis=1), color=BLACK, linewidth=1.2, label=r"$g(z) = \max_j z_j$")
+ax.set(xlabel="$x$", ylabel="$z$")
+ax.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+plt.show()
+
+# %% [markdown]
+# The neuron follows whichever channel is on top: first $z_2$, then $z_3$, then $z_1$. "Follow the winner" is an *or*,
+# and no set of linear inequalities alone says *or*: the graph of $g$ is not convex. One binary variable for each
+# channel does it.
+#
+# **Eq. MI_Constraints_NN**, for neuron $l$ of layer $i$ and all its channels $j \in \mathcal{A}^{(i)}_l$:
+#
+# $$ \begin{aligned}
+# q^{(i)}_l &\le W^{(i)}_j q^{(i-1)} + b^{(i)}_j + \overline{b}^{(i)} \, (1 - \delta^{(i)}_j), \\
+# -q^{(i)}_l &\le -W^{(i)}_j q^{(i-1)} - b^{(i)}_j, \\
+# \textstyle\sum_{\jmath \in \mathcal{A}^{(i)}_l} \delta^{(i)}_\jmath &= 1, \qquad \delta^{(i)} \in \{0, 1\}^{p_i w_i}.
+# \end{aligned} $$
+#
+# The second line says that $q$ is *at least* every channel. The first line, where $\delta_j = 1$, says that $q$ is *at
+# most* channel $j$. Both together leave only $q = z_j$ with $z_j$ the largest. Where $\delta_j = 0$ the first line must
+# not say anything, and that is what the constant $\overline{b}$ is for: it is a *big-M*. We write $M$ for it, and allow
+# a number of its own for each channel.
+
+
+# %%
+def maxout_neuron(q, z, M):
+    """Constraints (eq. MI_Constraints_NN) that make q the largest entry of z (p,); M (p,), one number a channel."""
+    delta = cp.Variable(len(M), boolean=True)
+    return [
+        q <= z + cp.multiply(M, 1 - delta),
+        -q <= -z,
+        cp.sum(delta) == 1,
+    ]
+
+
+# %% [markdown]
+# How big must $M_j$ be? When channel $j$ is not chosen, the first line still says $q \le z_j + M_j$, and $q$ is the
+# largest channel. So the constraint is silent for every $x$ of the set exactly if
+#
+# $$ M_j \;\ge\; \max_{x} \Big( \max_i z_i(x) - z_j(x) \Big), $$
+#
+# the furthest that channel $j$ ever falls behind the winner. For one neuron over an interval this is a maximum over the
+# two ends, for differences of affine functions are affine.
+
+# %% tags=["nbval-check-output"]
+ends = np.array([-3.0, 3.0])[:, None] @ W.T + b
+M_needed = (ends.max(axis=1, keepdims=True) - ends).max(axis=0)
+print("M_j that are just big enough:", M_needed.round(4))
+
+# %% [markdown]
+# Does the model do what it should? We fix $x$ and ask for the largest and the smallest $q$ that the constraints admit.
+# Both must be $g(x)$: then the constraints describe the graph of the neuron, no more and no less.
+
+# %% tags=["nbval-check-output"]
+x, q = cp.Variable(1), cp.Variable()
+at = cp.Parameter(1)
+neuron = [*maxout_neuron(q, W @ x + b, M_needed), x == at]
+largest, smallest = cp.Problem(cp.Maximize(q), neuron), cp.Problem(cp.Minimize(q), neuron)
+for value in (-3.0, -1.0, 0.0, 1.875, 3.0):
+    at.value = [value]
+    print(
+        f"x = {value:6.3f}:  q in [{smallest.solve(solver='HIGHS'):.4f}, {largest.solve(solver='HIGHS'):.4f}],"
+        f"  max_j z_j = {(W @ [value] + b).max():.4f}"
+    )
+
+# %% [markdown]
+# ## 2. A network
+#
+# A maxout network is neurons upon neurons (eq. NN): the outputs $q^{(i-1)}$ of one layer are the inputs of the next,
+# and $\Phi(q^{(0)}) = W^{(\ell+1)} q^{(\ell)} + b^{(\ell+1)}$. So is the model. What changes is that a later layer's
+# input set is not given. A simple and safe answer is *interval arithmetic*: carry a lower and an upper limit of each
+# quantity through the network, and take $M_j = \max_i \overline{z}_i - \underline{z}_j$ from the channels' limits.
+#
+# The network of this notebook has two inputs, two layers of three neurons with three channels each, and weights with
+# one decimal. Its output is unconstrained; a controller's must lie in $\mathcal{U}$, and that comes in part 4.
+
+# %%
+rng = np.random.default_rng(10)
+
+
+def tenths(*shape):
+    """Random numbers -1.0, -0.9, ..., 1.0."""
+    return rng.integers(-10, 11, shape) / 10
+
+
+net = mr.MaxoutNetwork([mr.Layer(tenths(9, 2), tenths(9), 3), mr.Layer(tenths(9, 3), tenths(9), 3)], tenths(1, 3), [0])
+F = mr.Polytope.box([-4, -4], [4, 4])
+print(net)
+
+
+# %%
+def interval(W, b, low, high):
+    """Limits of W y + b over the box low <= y <= high."""
+    centre, radius = (low + high) / 2, (high - low) / 2
+    return W @ centre + b - np.abs(W) @ radius, W @ centre + b + np.abs(W) @ radius
+
+
+def big_M(net, F):
+    """For each layer an array (w, p): M_j = max_i upper limit of z_i - lower limit of z_j, by interval arithmetic."""
+    low, high = F.bounding_box()
+    M = []
+    for layer in net.hidden:
+        z_low, z_high = (z.reshape(-1, layer.pool) for z in interval(layer.weight, layer.bias, low, high))
+        M.append(z_high.max(axis=1, keepdims=True) - z_low)
+        low, high = z_low.max(axis=1), z_high.max(axis=1)  # of the neurons: eq. maxout
+    return M
+
+
+# %% [markdown]
+# With the numbers at hand, eq. MI_Constraints_NN for the network is two nested loops, over layers $i$ and neurons $l$.
+
+
+# %%
+def maxout_network(x, net, M):
+    """Phi(x) as a cvxpy expression, and the constraints (eq. MI_Constraints_NN) that make it so."""
+    q, constraints = x, []  # q^(0) = x
+    for layer, M_layer in zip(net.hidden, M):
+        z, q = layer.weight @ q + layer.bias, cp.Variable(layer.width)
+        for neuron in range(layer.width):
+            A_l = slice(layer.pool * neuron, layer.pool * (neuron + 1))
+            constraints += maxout_neuron(q[neuron], z[A_l], M_layer[neuron])
+    return net.weight @ q + net.bias, constraints
+
+
+def largest_output(net, F, M, **options):
+    """Solve max Phi(x) over x in F (one output): the problem, and the state that the solver names."""
+    x = cp.Variable(net.input_size)
+    u, constraints = maxout_network(x, net, M)
+    problem = cp.Problem(cp.Maximize(u[0]), [F.H @ x <= F.h, *constraints])
+    problem.solve(solver="HIGHS", **options)
+    return problem, x.value
+
+
+# %% [markdown]
+# The answer is the support function of the image $\Phi(\mathcal{F})$ along $v = 1$: a statement about infinitely many
+# states, from one mixed-integer linear program (MILP). Trying many states only ever gives a lower limit.
+
+# %% tags=["nbval-check-output"]
+problem, best = largest_output(net, F, big_M(net, F))
+tried = F.sample(np.random.default_rng(0), 20000)
+print(f"MILP:              Phi <= {problem.value:.4f}")
+print(f"its state, tried:  Phi({np.round(best, 3) + 0.0}) = {net(best)[0]:.4f}")
+print(f"20,000 states:     Phi never exceeds the MILP's value: {bool((net(tried) <= problem.value + 1e-6).all())}")
+
+# %% [markdown]
+# ### What it costs: counting binaries
+#
+# There is one $\delta_j$ for each channel of each neuron, so a network has $\sum_i p_i w_i$ of them. `net.binaries`
+# counts what it is given, saturation layers included (two neurons with two channels for each input).
+
+# %% tags=["nbval-check-output"]
+shapes = {"this notebook": net} | {name: mr.case_study(name).network for name in ("pwa", "double_integrator")}
+for name, network in shapes.items():
+    sizes = " + ".join(f"{layer.pool}*{layer.width}" for layer in network.hidden)
+    choices = np.prod([float(layer.pool) ** layer.width for layer in network.hidden])
+    print(f"{name:>18}: {sizes} = {network.binaries} binaries, {choices:.1e} choices of channels")
+
+# %% [markdown]
+# $\prod_i p_i^{w_i}$ choices of channels would be hopeless to try one by one. Branch and bound does not: it solves
+# linear programs in which the binaries may be fractions, and drops every branch whose bound shows that it cannot win.
+# How well that works is decided by how good these bounds are, and so by the big-$M$: part 4.
+#
+# ## 3. Break it: a big-$M$ that is too small
+#
+# The paper's constraints have one number $\overline{b}^{(i)}$ for a layer; many implementations use one for everything.
+# Let us take a single $M$ for all rows and make it smaller and smaller.
+
+# %% tags=["nbval-check-output"]
+same = lambda M: [np.full((layer.width, layer.pool), M) for layer in net.hidden]  # noqa: E731
+sweep = (30.0, 15.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0)
+claims = {M: largest_output(net, F, same(M)) for M in sweep}
+for M, (claim, _) in claims.items():
+    print(f"M = {M:4.0f}:  " + (f"Phi <= {claim.value:.4f}" if claim.status == "optimal" else claim.status))
+
+# %% [markdown]
+# Nothing warns us. The solver reports *optimal*, its state is a real state, and the network really has that output
+# there. Only: from some $M$ on, the value is no upper bound any more. What happened? A state $x$ has a feasible
+# $(q, \delta)$ only if no channel of any neuron is further behind its winner than $M$ allows. All other states have
+# silently been cut out of $\mathcal{F}$. We can compute what each state needs:
+
+# %% tags=["nbval-check-output"]
+axis = np.linspace(-4, 4, 161)
+grid = np.stack(np.meshgrid(axis, axis), axis=-1)
+needed, y = np.zeros(grid.shape[:2]), grid
+for layer in net.hidden:
+    z = layer.channels(y)  # (..., w, p)
+    needed = np.maximum(needed, (z.max(axis=-1, keepdims=True) - z).max(axis=(-1, -2)))
+    y = z.max(axis=-1)
+for M in (4, 6, 8, 15):
+    print(f"M = {M:2d} is too small for {np.mean(needed > M):4.0%} of the grid")
+
+# %%
+fig, ax = plt.subplots(figsize=(6.6, 4.0), layout="constrained")
+cut, colours = {"hatches": ["//", "xx"], "levels": [4, 6, np.inf]}, ["#E69F0040", "#D55E0080"]
+patches = ax.contourf(axis, axis, needed, colors=colours, **cut)
+ax.contour(axis, axis, needed, levels=[4, 6], colors=BLACK, linestyles=["-", "--"])
+handles, _ = patches.legend_elements()
+names = ["states that $M = 4$ cuts off", "states that $M = 4$ and $M = 6$ cut off"]
+for (M, mark), name in zip(((15.0, "*"), (6.0, "s"), (4.0, "o")), ("all of", "$M = 6$", "$M = 4$")):
+    style = {"color": BLUE, "markersize": 15 if mark == "*" else 9, "markeredgecolor": "white", "clip_on": False}
+    handles += ax.plot(*claims[M][1], mark, linestyle="none", **style)
+    names += [rf"largest $\Phi$ in {name} $\mathcal{{F}}$" if mark == "*" else f"what {name} finds"]
+ax.set(xlabel="$x_1$", ylabel="$x_2$", aspect="equal")
+ax.legend(handles, names, loc="upper left", bbox_to_anchor=(1.02, 1), frameon=False, handleheight=1.6)
+plt.show()
+
+# %% [markdown]
+# With $M = 4$ the constraints have no solution at any hatched state, with $M = 6$ at none of the densely hatched ones.
+# The star, where $\Phi$ is largest, lies there. So the models answer for what is left, and that is what they find.
+# $M = 8$ still gave the right value, by luck: it cuts states off too, only not this one.
+#
+# In a reachability analysis this is the worst kind of error. The set $\overline{\mathcal{R}}_1(\mathcal{F})$ is built
+# from such maxima; a maximum that is too small gives a set that is too small, and *"RPI: proven"* for a set that states
+# leave. A big-$M$ that is too small is **unsound**.
+#
+# ## 4. What a big-$M$ that is too large costs
+#
+# ### It makes the relaxation loose
+#
+# Branch and bound starts from the *relaxation*: $\delta \in [0, 1]$ instead of $\{0, 1\}$. What does that leave of the
+# neuron of part 1? For every $x$, the relaxed constraints admit an interval of $q$, from the graph itself up to this:
+
+
+# %%
+def relaxed_top(M):
+    """Largest q of the relaxed neuron for each x of a grid."""
+    q, x, tops = cp.Variable(), cp.Parameter(1), []
+    problem = cp.Problem(cp.Maximize(q), maxout_neuron(q, W @ x + b, M))
+    for x.value in np.linspace(-3, 3, 25)[:, None]:
+        tops.append(problem.solve(solver="HIGHS", solve_relaxation=True))
+    return np.array(tops)
+
+
+fig, ax = plt.subplots(figsize=(6.4, 3.4), layout="constrained")
+ax.plot(xs, Z.max(axis=1), color=BLACK, linewidth=2, label="the neuron")
+for factor, style, colour in ((1, "-", BLUE), (1.5, "--", ORANGE), (3, "-.", RED)):
+    ax.plot(
+        np.linspace(-3, 3, 25),
+        relaxed_top(factor * M_needed),
+        style,
+        color=colour,
+        label=f"big-$M$: {factor:g} times the needed",
+    )
+ax.set(xlabel="$x$", ylabel="$q$", ylim=(-0.5, 7))
+ax.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+plt.show()
+
+# %% [markdown]
+# With $\delta$ relaxed, everything between the black graph and a coloured line is feasible. Even the smallest sound $M$
+# leaves a gap, and the gap grows with $M$. In the network, gaps of the first layer enter the second, and the bound from
+# which branch and bound starts becomes useless:
+
+# %% tags=["nbval-check-output"]
+for factor in (1, 10, 100, 1000):
+    relaxed, _ = largest_output(net, F, [factor * M for M in big_M(net, F)], solve_relaxation=True)
+    print(f"{factor:5d} M:  relaxation Phi <= {relaxed.value:10.1f}   (true: {problem.value:.3f})")
+
+# %% [markdown]
+# The truth is 1.763, and the solver starts its proof from 13.1, or from 14,491. (HiGHS is good at repairing such
+# models: its presolve finds smaller big-$M$ by itself, so that small networks are still solved in no time. In larger
+# ones the bounds decide about the time: part 5.)
+#
+# ### It makes the answer wrong
+#
+# A solver works with floating-point numbers: to HiGHS, a binary within $10^{-6}$ of 0 or 1 *is* 0 or 1. In
+# $q \le z_j + M (1 - \delta_j)$ this tolerance is multiplied by $M$. Here is a point of our neuron at $x = 0$ for
+# $M = 10^6$, found by hand. It is "integral", it satisfies every row, and its $q$ is twice the neuron's output.
+
+# %% tags=["nbval-check-output"]
+M, x0, q0 = 1e6, np.array([0.0]), 1.0
+delta0 = np.array([5e-7, 0, 1 - 5e-7])
+z0 = W @ x0 + b
+violation = max((q0 - z0 - M * (1 - delta0)).max(), (z0 - q0).max(), abs(delta0.sum() - 1))
+print(f"every row holds to 1e-9:         {violation <= 1e-9}")
+print(f"furthest from an integer:        {np.abs(delta0 - delta0.round()).max():.1e}")
+print(f"q = {q0}, but the neuron gives:   {z0.max():.1f}")
+
+# %% [markdown]
+# Will a solver really return such a point? It will if it gains by it. Let us saturate the network, as a controller must
+# be (Sec. II.A wants $\Phi(x) \in \mathcal{U}$: two more layers clip the output to $[-2, 2]$), and ask again.
+
+# %%
+controller = net.saturate(-2.0, 2.0)
+print("   big-M        solver   claims Phi <=   Phi at its state   furthest binary from 0 or 1")
+for factor in (1, 1e3, 1e6, 1e7, 1e8):
+    claim, state = largest_output(controller, F, [factor * M for M in big_M(controller, F)])
+    off = max(np.abs(v.value - np.round(v.value)).max() for v in claim.variables() if v.attributes["boolean"])
+    print(f"{factor:8.0e}  {claim.status:>12} {claim.value:15.4f} {controller(state)[0]:18.4f} {off:30.1e}")
+
+# %% [markdown]
+# With the version of HiGHS that ran here, rows with a large $M$ are wrong: the solver calls 2 *optimal*, and the
+# network's output at the solver's own state is something else. This error is on the safe side, for what leaks through a
+# tolerance makes the feasible set larger. But a witness that is none refutes nothing, and sets that are too large may
+# keep you from finding a safe set that exists. Three habits follow:
+#
+# - take $M$ from bounds, row by row, never "some large number";
+# - *replay* what a solver names: evaluate the true network at its state (this package does so for every witness);
+# - know your solver's tolerances, and multiply them by $M$.
+#
+# ## 5. Where this package takes its big-$M$ from
+#
+# The engine `milp` builds the same constraints, but looks for the smallest $M$ it can prove. Bounds by `"interval"` are
+# those of part 2. With bounds by `"lp"`, what has been built so far, its binaries relaxed, is used as a linear program
+# that bounds the next difference of channels $z_i - z_j$ over $\mathcal{F}$. A channel that provably never wins gets no
+# binary at all, and neither does a mode that is never met. Let us see for the 5x5 network of the second case study in
+# closed loop with its plant, over the box $\mathcal{F} = \frac{1}{2} \mathcal{X}$ (the nine modes of the plant bring
+# nine binaries more; notebook 03 is about these).
+
+# %%
+from mireach.engines import milp
+
+loop = mr.case_study("double_integrator").loop
+half = loop.system.state_set.scale(0.5)
+v = np.array([[1.0, 0.0]])
+print(f"by the paper's count: {loop.network.binaries + len(loop.system.modes)} binaries")
+for bounds in ("interval", "lp"):
+    model = milp.build(loop, half, 1, bounds)
+    start = model.program.maximize(model.states[1], v[0]).value  # the relaxation
+    print(f'bounds="{bounds}": {len(model.binaries)} binaries, relaxation {start:.4f}')
+
+# %%
+from time import perf_counter
+
+values = {}
+for options in ({"engine": "milp", "bounds": "interval"}, {"engine": "milp", "bounds": "lp"}, {"engine": "cells"}):
+    begin = perf_counter()
+    values[str(options)] = mr.support(loop, half, v, **options).bound[0]
+    print(f"{options}: h(v) <= {values[str(options)]:.6f} in {perf_counter() - begin:.2f} s")
+
+# %% tags=["nbval-check-output"]
+print("all three agree to 1e-5:", bool(np.ptp(list(values.values())) < 1e-5))
+
+# %% [markdown]
+# The same maximum, from fewer binaries and a tighter start. The last of the three is another engine altogether: it cuts
+# the plane into the pieces on which the loop is affine (notebook 10), and needs no big-$M$ and no binaries. That it
+# agrees with the MILP is a check that neither could give alone.
+#
+# ## What you saw
+#
+# - A maxout neuron is three lines of constraints: at least every channel, at most the chosen one, choose one.
+# - A network needs $\sum_i p_i w_i$ binaries; the MILP's optimum is a statement about *all* states of a set.
+# - The smallest sound $M_j$ is the furthest that channel $j$ falls behind the winner. Smaller: states vanish without a
+#   word, the value is too small, and what is proven with it is false. Larger: loose relaxation; much larger: the
+#   solver's tolerance times $M$ is an error in the network's output.
+# - Bounds over the current $\mathcal{F}$ instead of over $\mathcal{X}$ save binaries and tighten the relaxation.
+#
+# ## On your own
+#
+# - Write a ReLU network with this notebook's functions (channels $z$ and $0$). How many of its binaries could you save?
+# - Replace `interval` by two small LPs for each channel difference, over the relaxation of the layers before.
+#   How much smaller do the $M_j$ of the second layer become?
+# - Shrink `F` step by step to the origin. When does the first binary become superfluous?
+# - Use another solver that cvxpy knows (`cp.installed_solvers()`) in part 4. Which of them is fooled, and when?
+#
+# **Exercise:** `exercises/ex02`. **Next:** notebook 03 writes the plant in the same way.
+#
+# ## Further reading
+#
+# - [Teichrib2025], Sec. II.A: the constraints, and where they come from.
+# - [Goodfellow2013]: maxout networks.
+# - R. Anderson, J. Huchette, W. Ma, C. Tjandraatmadja, J. P. Vielma: *Strong mixed-integer programming formulations for
+#   trained neural networks*, Mathematical Programming 183, 2020: what can be had beyond a good big-$M$.
+# - V. Tjeng, K. Xiao, R. Tedrake: *Evaluating robustness of neural networks with mixed integer programming*, ICLR 2019:
+#   how bounds of neurons are tightened step by step.

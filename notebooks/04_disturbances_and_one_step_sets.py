@@ -1,0 +1,471 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#   kernelspec:
+#     display_name: Python 3 (ipykernel)
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Add disturbances and compute one-step sets
+#
+# **What you will do.** Extend the mixed-integer model of notebook 03 by a disturbance whose set depends on the mode;
+# ask it for support functions of reachable sets; draw the reachable set and what templates make of it; and decide
+# whether a set is robustly positively invariant (RPI), with a counterexample where it is not.
+#
+# **What you will learn.** What eq. MISysWithDis adds to eq. MISys; what Lemmas 1 and 2 promise; why the paper prefers
+# $k$ small problems to one large one, and what this costs; how an RPI check is a handful of support functions.
+#
+# **What you need.** Notebooks 01 to 03: support functions, templates, and the big-$M$ model of a piecewise-affine
+# system. "Run all" takes about 15 seconds.
+
+# %%
+from time import perf_counter
+
+import cvxpy as cp
+import matplotlib.pyplot as plt
+import numpy as np
+
+import mireach as mr
+from mireach.engines.cells import cells
+from mireach.engines.model import model
+from mireach.plotting import BLACK, BLUE, GREEN, GREY, RED, draw_regions, draw_set, label_axes
+from mireach.widgets import step_viewer
+
+case = mr.case_study("pwa")
+loop, system, X = case.loop, case.system, case.system.state_set
+print(f"{len(system.modes)} modes, |d| <= {case.disturbance_bound} in each, {loop.network}")
+
+# %% [markdown]
+# ## 1. A disturbance set for every mode
+#
+# The system of the paper (eq. SysWithDis) is
+#
+# $$x(k+1) = A^{(i)} x(k) + B^{(i)} u(k) + p^{(i)} + d(k), \qquad d(k) \in \mathcal{D}^{(i)}
+#   \quad\text{if}\quad \begin{pmatrix} x(k) \\ u(k) \end{pmatrix} \in \mathcal{P}^{(i)},$$
+#
+# and its second half is eq. dinDi: *which* disturbances may act depends on the region the system is in. In the case
+# study all four sets are the same small box. To see what the model can do, we take four large and different ones. A
+# segment is a disturbance that hits both states in a fixed ratio; a point is no disturbance at all.
+
+# %%
+box = mr.Polytope.box([-1.2, -0.6], [1.2, 0.6])
+segment = mr.Polytope.from_points([[-1.5, -1.5], [1.5, 1.5]])
+point = mr.Polytope.box([0, 0], [0, 0])
+diamond = mr.Polytope.from_points([[1, 0], [0, 1], [-1, 0], [0, -1]])
+
+plant = system.with_disturbance([box, segment, point, diamond])  # eq. dinDi
+
+# %% [markdown]
+# Notebook 03 chose the mode by binaries $\gamma_i$ (eq. gammaForR), gave each mode its own copy $\tilde x^{(i)}$ of
+# the successor that is zero unless $\gamma_i = 1$ (eq. MI_PWA_xTilde), and summed the copies (eq. MI_PWA_sumXTilde).
+# All of this stays. **Eq. MISysWithDis** puts $d$ into the dynamics and makes its limits switch with the mode:
+#
+# $$\begin{aligned}
+# -\mathbf{1} M (1 - \gamma_i) \le A^{(i)} x + B^{(i)} u + p^{(i)} + d - \tilde x^{(i)}
+#   &\le \mathbf{1} M (1 - \gamma_i) & &\mathtt{(MI\_PWA\_ABpd)} \\
+# H^{(\mathcal{D}^{(i)})} d &\le h^{(\mathcal{D}^{(i)})} + \mathbf{1} M (1 - \gamma_i) & &\mathtt{(MI\_PWA\_Hd)}
+# \end{aligned}$$
+#
+# There is one $d$ for all modes. The binary that selects the mode also selects which set $d$ has to lie in.
+
+
+# %%
+def disturbed_step(system, x, u, M=100.0):
+    """Constraints of one disturbed step from x under u; x_next and the choice gamma are their variables."""
+    d, x_next = cp.Variable(2), cp.Variable(2)
+    gamma = cp.Variable(len(system.modes), boolean=True)
+    parts = [cp.Variable(2) for _ in system.modes]
+    constraints = [cp.sum(gamma) == 1, x_next == sum(parts)]  # eqs. gammaForR, MI_PWA_sumXTilde
+    for i, mode in enumerate(system.modes):
+        D, off = mode.disturbance, M * (1 - gamma[i])
+        gap = mode.A @ x + mode.B @ u + mode.p + d - parts[i]
+        constraints += [mode.region.H @ cp.hstack([x, u]) <= mode.region.h + off]  # eq. gammaForR
+        constraints += [-M * gamma[i] <= parts[i], parts[i] <= M * gamma[i]]  # eq. MI_PWA_xTilde
+        constraints += [-off <= gap, gap <= off]  # eq. MI_PWA_ABpd
+        constraints += [D.H @ d <= D.h + off]  # eq. MI_PWA_Hd
+    return constraints, x_next, gamma
+
+
+# %% [markdown]
+# One common $M = 100$ is enough here, because nothing in this system grows beyond 40; notebook 02 showed what a big-$M$
+# costs when it is too small or too large. Now we fix a state and its input $u = \Phi(x)$ and push $x^+$ as far as it
+# goes along the eight directions of the template. What comes out is $h_{\mathcal{R}_1(\{x\})}(C)$, and by hand it
+# would be $C (A^{(i)} x + B^{(i)} u + p^{(i)}) + h_{\mathcal{D}^{(i)}}(C)$.
+
+# %% tags=["nbval-check-output"]
+C = mr.directions(8)
+x, u, v = cp.Parameter(2), cp.Parameter(1), cp.Parameter(2)
+constraints, x_next, gamma = disturbed_step(plant, x, u)
+farthest = cp.Problem(cp.Maximize(v @ x_next), constraints)
+
+
+def one_step_support(state):
+    """h of R_1({state}) along the rows of C, one small MILP a row."""
+    x.value, u.value = np.array(state), loop.network(np.array(state))
+    supports = []
+    for v.value in C:
+        supports.append(farthest.solve(solver="HIGHS"))
+    return np.array(supports)
+
+
+states = [(4.5, 3), (8, -3), (-7, -5), (-6, 7)]  # one in each region
+for state, mode in zip(states, plant.modes):
+    by_hand = C @ mode.successor(np.array(state), u=loop.network(np.array(state))) + mode.disturbance.support(C)
+    print(f"x = {state}: MILP and hand differ by {np.abs(one_step_support(state) - by_hand).max():.4f}")
+
+# %%
+fig, ax = plt.subplots(figsize=(6, 6))
+draw_regions(ax, plant)
+shapes = {"box": (-12, 16), "segment": (-58, 4), "point": (10, -4), "diamond": (-24, -34)}  # label offsets
+for state, (shape, offset) in zip(states, shapes.items()):
+    image = mr.Polytope(C, one_step_support(state) + 1e-6)
+    middle = image.vertices().mean(axis=0)
+    ax.plot(*state, "o", color=BLACK)
+    ax.annotate("", middle, state, arrowprops={"arrowstyle": "->", "color": GREY, "linestyle": "--"})
+    draw_set(ax, image, facecolor="#0072B250", edgecolor=BLUE, linewidth=1.8)
+    if shape == "point":
+        ax.plot(*middle, "o", color=BLUE, markersize=5)
+    ax.annotate(shape, middle, offset, textcoords="offset points", color=BLUE)
+    ax.annotate(
+        f"$x = {state}$", state, (-28, 9 if state[1] > 0 else -17), textcoords="offset points", fontsize="small"
+    )
+label_axes(ax, X, r"$\mathcal{R}_1^{\mathcal{D}}(\{x\})$ for one state in each region")
+plt.show()
+
+# %% [markdown]
+# Each black state is carried along its dashed arrow, and around the place where it lands stands the set of its region:
+# a box, a segment, a single point, a diamond. The state decides the region, the region decides the disturbance.
+#
+# The regions are closed, so on a boundary the binaries may choose. At $x = (0, -7)$ modes 2 and 3 both contain the
+# state. Their dynamics disagree there, and the model admits both successors:
+
+# %% tags=["nbval-check-output"]
+on_boundary = (0, -7)
+h_both = one_step_support(on_boundary)
+for i in (1, 2):
+    x_plus = plant.modes[i].successor(np.array(on_boundary, float), loop.network(np.array(on_boundary)))
+    print(f"mode {i + 1}: x+ = ({x_plus[0]:.2f}, {x_plus[1]:.2f}) + D^({i + 1})")
+print("h along (1, 0), (0, 1), (-1, 0), (0, -1):", np.round(h_both[::2], 2))
+
+# %% [markdown]
+# The support along $(-1, 0)$ comes from mode 3 and the one along $(1, 0)$ from mode 2: a map that jumps is treated as
+# set-valued, so a verdict does not depend on which side a boundary point is counted to.
+#
+# ## 2. Lemmas 1 and 2: the whole loop as one model
+#
+# **Lemma 1** chains what you have built: the network (eq. MI_Constraints_NN), the input
+# $u = W^{(\ell+1)} q^{(\ell)} + b^{(\ell+1)}$ (eq. hatUEqWqplusB), and the disturbed step above, for
+# $k = 0, \dots, K-1$. Any solution is a trajectory of the closed loop with admissible disturbances. **Lemma 2** puts an
+# objective on top (eq. MILPReachableSets):
+#
+# $$c_k^*(v, \mathcal{F}) = \max\; v\, x(k) \quad\text{s.t. the constraints of Lemma 1 and } x(0) \in \mathcal{F},
+#   \qquad c_k^*(v, \mathcal{F}) = h_{\mathcal{R}_k^{\mathcal{D}}(\mathcal{F})}(v).$$
+#
+# `mireach.engines.model.model` is that MILP, written line by line as in this notebook but with a computed big-$M$ for
+# every row. We go back to the paper's disturbance $|d|_\infty \le 0.15$ and ask for one step from a small box that
+# lies across the border of modes 2 and 3.
+
+# %% tags=["nbval-check-output"]
+F = mr.Polytope.box([-1, -8], [1, -6])
+by_milp = mr.support(loop, F, C, engine="cvxpy")  # Lemma 2 with k = 1, in cvxpy
+by_cells = mr.support(loop, F, C)  # the default engine in the plane
+print("h by the MILP: ", np.round(by_milp.bound, 3))
+print("h by the cells:", np.round(by_cells.bound, 3))
+print("what attains h along (1, 0):")
+print(by_cells.witness[0])
+
+# %% [markdown]
+# Both engines agree; the witness is the trajectory that gets farthest. In the plane there is a way without MILP,
+# which also lets us *see* the set: $\mathcal{X}$ falls into convex **cells**, on each of which one mode acts and the
+# network is affine, $\Phi(x) = K x + g$. So $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})$ is the union of the convex
+# pieces
+#
+# $$\big(A^{(i)} + B^{(i)} K\big)\,(\text{cell} \cap \mathcal{F}) + B^{(i)} g + p^{(i)} \;\oplus\; \mathcal{D}^{(i)}.$$
+
+
+# %%
+def image_pieces(loop, F):
+    """The convex pieces of R_1(F), one for each cell that meets F."""
+    every = cells(loop)
+    parts, index = every.restrict(F)
+    pieces = []
+    for polygon, i in zip(parts, index):
+        mode = loop.system.modes[every.mode[i]]
+        u = polygon @ every.K[i].T + every.g[i]
+        nominal = mode.successor(polygon, u)
+        sums = nominal[:, None] + mode.disturbance.vertices()  # corner + corner, for the Minkowski sum
+        pieces.append(mr.Polytope.from_points(sums.reshape(-1, 2)))
+    return pieces
+
+
+# %% [markdown]
+# We check the pieces against brute force: 20,000 random states of a larger box, with a random disturbance each.
+
+# %% tags=["nbval-check-output"]
+G = mr.Polytope.box([-6, -9], [8, 3])
+rng = np.random.default_rng(0)
+starts = G.sample(rng, 20_000)
+landed = loop.simulate(starts, 1, rng)[:, 1]
+
+pieces = image_pieces(loop, G)
+inside = np.any([piece.contains(landed, tol=1e-9) for piece in pieces], axis=0)
+print(f"{len(cells(loop))} cells, of which {len(pieces)} meet G; {inside.sum()} of {len(landed)} samples lie in them")
+
+# %%
+fig, axes = plt.subplots(1, 2, figsize=(8, 4.3), sharey=True)
+axes[0].plot(*landed.T, ".", color=BLUE, markersize=1)
+axes[0].set_title(r"sampled $x^+ \in \mathcal{R}_1^{\mathcal{D}}(\mathcal{G})$")
+for piece in pieces:
+    draw_set(axes[1], piece, facecolor="#0072B230", edgecolor=BLUE, linewidth=0.7)
+axes[1].set_title("exact pieces, from the cells")
+for ax in axes:
+    draw_set(ax, G, facecolor="none", edgecolor=GREEN, linestyle="--", linewidth=1.8, label=r"$\mathcal{G}$")
+    label_axes(ax, X, ax.get_title())
+axes[1].set_ylabel("")
+axes[0].legend(loc="upper left")
+plt.show()
+
+# %% [markdown]
+# Left, the cloud of sampled successors; right, the polygons that it must fill. The set is not convex, and it has
+# an inside structure: each piece is the image of one cell, and where a region boundary runs through $\mathcal{G}$ the
+# image is torn apart. Sampling alone never reaches the corners, which is why no proof can rest on it.
+#
+# ## 3. The outer approximation: what a template keeps
+#
+# With $h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}$ along the rows of a template $C$ comes the set (eq. Rover1)
+#
+# $$\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F})
+#   = \{x : C x \le h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}(C)\}
+#   \supseteq \mathcal{R}_1^{\mathcal{D}}(\mathcal{F}),$$
+#
+# the smallest one with these facets: every facet touches the reachable set. More rows cut off more corners.
+
+
+# %% tags=["nbval-check-output"]
+def area(P):
+    """Area of a bounded polytope of the plane (shoelace formula)."""
+    x, y = P.vertices().T
+    return 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+outer = {rows: mr.outer_step(loop, G, mr.directions(rows)) for rows in (4, 8, 16)}  # eq. Rover1
+hull = mr.Polytope.from_points(np.vstack([piece.vertices() for piece in pieces]))
+for rows, R in outer.items():
+    print(f"{rows:2d} directions: area {area(R):6.1f}")
+print(f"convex hull:   area {area(hull):6.1f}")
+
+# %%
+fig, axes = plt.subplots(1, 3, figsize=(8, 3.2), sharey=True)
+for ax, (rows, R) in zip(axes, outer.items()):
+    for piece in pieces:
+        draw_set(ax, piece, facecolor="#0072B260", edgecolor="none")
+    draw_set(ax, R, facecolor="none", edgecolor=BLACK, linewidth=1.5)
+    label_axes(ax, X, f"{rows} directions")
+for ax in axes[1:]:
+    ax.set_ylabel("")
+plt.show()
+
+# %% [markdown]
+# The black outline is $\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{G})$, the blue area the reachable set itself.
+# From 4 to 8 directions the outline loses its empty corners; 16 directions come near the convex hull,
+# which no template can go below: the bays between the pieces stay inside for every $C$. Each row costs one MILP.
+#
+# ## 4. Several steps: one large MILP, or many small ones
+#
+# Lemma 2 holds for any $k$. Its MILP chains $k$ copies of the loop, each with $N_1 = s + \sum_i p_i w_i$ binaries:
+
+# %% tags=["nbval-check-output"]
+N_1 = len(system.modes) + loop.network.binaries  # saturation layers included
+for k in (1, 2, 3):
+    problem, *_ = model(loop, F, steps=k)
+    binaries = sum(variable.size for variable in problem.variables() if variable.attributes["boolean"])
+    print(f"k = {k}: {binaries:3d} binary variables in the model; k N_1 = {k * N_1}")
+
+# %% [markdown]
+# In the worst case the work doubles with each further binary. The other way is to take $k$ small steps and to
+# approximate after each (eq. ROverOver):
+#
+# $$\overline{\mathcal{R}}_k^{\mathcal{D}}(\mathcal{F}) =
+#   \underbrace{\overline{\mathcal{R}}_1^{\mathcal{D}}(\dots\overline{\mathcal{R}}_1^{\mathcal{D}}}_{k\text{ times}}
+#   (\mathcal{F})) \supseteq \mathcal{R}_k^{\mathcal{D}}(\mathcal{F}).$$
+#
+# It needs only problems with $N_1$ binaries, but the next step starts from a set that is already too large. How much is
+# lost? We compare along $v = (1, 0)$:
+
+# %% tags=["nbval-check-output"]
+v_right = C[:1]
+sequence = mr.outer_reach(loop, F, C, steps=3)  # eq. ROverOver
+print("k   one MILP   by cells   outer steps")
+for k in (1, 2, 3):
+    large = mr.support(loop, F, v_right, steps=k, engine="cvxpy").value[0]  # eq. MILPReachableSets
+    exact = mr.support(loop, F, v_right, steps=k).value[0]
+    print(f"{k}   {large:8.3f}   {exact:8.3f}   {sequence[k].support(v_right)[0]:11.3f}")
+
+# %% [markdown]
+# For $k = 1$ the three agree by definition. From $k = 2$ on the outer steps may give more than the exact set, never
+# less; the MILP and the exact cells stay equal. In the picture the same thing along all directions:
+
+# %%
+exact_pieces = [F]
+fig, axes = plt.subplots(1, 3, figsize=(8, 3.4), sharey=True, layout="constrained")
+for k, ax in enumerate(axes, start=1):
+    exact_pieces = [image for piece in exact_pieces for image in image_pieces(loop, piece)]
+    for piece in exact_pieces:
+        draw_set(ax, piece, facecolor="#0072B2", edgecolor="none")
+    around = mr.Polytope(C, mr.support(loop, F, C, steps=k).bound)
+    draw_set(ax, around, facecolor="none", edgecolor=BLACK, linewidth=1.2, label="template, Lemma 2")
+    draw_set(ax, sequence[k], facecolor="none", edgecolor=RED, linestyle="--", linewidth=1.6, label="outer steps")
+    label_axes(ax, mr.Polytope.box([-7, -7], [3, 3]), f"$k = {k}$")
+    ax.set_ylabel("$x_2$" if k == 1 else "")
+fig.legend(handles=ax.patches[-2:], loc="outside lower center", ncols=2, frameon=False)
+plt.show()
+
+# %% [markdown]
+# Blue: the exact set $\mathcal{R}_k^{\mathcal{D}}(\mathcal{F})$. Black: the template around it, from Lemma 2 with $k$
+# steps. Red, dashed: $k$ outer steps. At $k = 1$ black and red coincide. The image of $\mathcal{F}$ is torn into two
+# islands at the region boundary; the outer step fills the gap between them with states that are not reachable, and in
+# the following steps these have successors too. So from $k = 2$ on the red set is the larger one.
+#
+# The price of exactness is the size of the problem; on most machines the following times grow by far more than $k$:
+
+# %%
+for k in (1, 2, 3):
+    begin = perf_counter()
+    mr.support(loop, F, v_right, steps=k, engine="cvxpy")
+    print(f"k = {k}: {perf_counter() - begin:.2f} s for one direction")
+
+# %% [markdown]
+# The sequence of outer sets, step by step: a few of them first, then all with a slider. The dots are 1,500 simulated
+# trajectories with random disturbances. **The slider needs a running kernel**; without one you see the static row.
+
+# %%
+long_sequence = mr.outer_reach(loop, F, C, steps=12)
+paths = loop.simulate(F.sample(rng, 1500), 12, rng)
+
+
+def draw_reach(ax, k):
+    """Step k: all outer sets so far, the current one in red, and where the trajectories are."""
+    draw_regions(ax, system)
+    for R in long_sequence[:k]:
+        draw_set(ax, R, facecolor="none", edgecolor=GREY, linewidth=0.7)
+    ax.plot(*paths[:, k].T, ".", color=BLUE, markersize=1.5)
+    draw_set(ax, long_sequence[k], facecolor="none", edgecolor=RED, linestyle="--", linewidth=1.6)
+    label_axes(ax, X, f"$k = {k}$")
+
+
+fig, axes = plt.subplots(1, 4, figsize=(8, 2.6), sharey=True)
+for ax, k in zip(axes, (0, 1, 3, 12)):
+    draw_reach(ax, k)
+    ax.set_ylabel("$x_2$" if k == 0 else "")
+plt.show()
+
+# %%
+step_viewer(draw_reach, len(long_sequence))
+
+# %% [markdown]
+# All dots stay in the red set at every step, and the set drifts to the origin and settles around it. What it settles
+# to is the subject of the next notebooks: the terminal set.
+#
+# ## 5. Is a set RPI?
+#
+# A set is RPI if one step, under any admissible disturbance, does not leave it:
+# $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F}) \subseteq \mathcal{F}$ (eq. RPI). For a polytope $\mathcal{F} = \{x :
+# H^{(\mathcal{F})} x \le h^{(\mathcal{F})}\}$ this is a question about its own facets only:
+#
+# $$\mathcal{F} \text{ is RPI} \iff h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}\big(H^{(\mathcal{F})}\big)
+#   \le h^{(\mathcal{F})}.$$
+#
+# No template is involved, so the answer is exact: yes, or no with a trajectory that shows it. Three candidates: all of
+# $\mathcal{X}$, the box $|x|_\infty \le 4$, and the safe set $\mathcal{F}_{\max}$ that notebook 06 will compute.
+
+# %% tags=["nbval-check-output"]
+F_max = mr.safe_set(loop, case.safe_directions).set
+candidates = {"X": X, "|x| <= 4": mr.Polytope.box([-4, -4], [4, 4]), "F_max": F_max}
+for name, candidate in candidates.items():
+    h_image = mr.support(loop, candidate, candidate.H).bound
+    margin = np.round(candidate.h - h_image, 2) + 0.0
+    print(f"{name:8s} is RPI: {bool((h_image <= candidate.h).all())!s:5s}  h - h_R1 = {margin}")
+
+# %% [markdown]
+# A negative entry is a facet that the image passes. `mr.check_rpi` does the same and hands over a **witness**: a state
+# of the set, its input, the mode and a disturbance, whose successor lies outside. Anyone can replay it with a pocket
+# calculator; it does not matter how it was found.
+
+# %% tags=["nbval-check-output"]
+checks = {name: mr.check_rpi(loop, candidate) for name, candidate in candidates.items()}
+for name, check in checks.items():
+    print(f"{name}: {check.verdict}")
+    if check.witness is not None:
+        print("   x =", np.round(check.witness.states[0], 2), " d =", np.round(check.witness.disturbances[0], 2))
+        print("   x+ =", np.round(check.witness.states[1], 2))
+
+# %%
+fig, axes = plt.subplots(1, 3, figsize=(8, 3.5), sharey=True, layout="constrained")
+symbols = (r"$\mathcal{X}$", r"$|x|_\infty \leq 4$", r"$\mathcal{F}_{\max}$")
+for ax, symbol, (name, candidate) in zip(axes, symbols, candidates.items()):
+    for piece in image_pieces(loop, candidate):
+        draw_set(ax, piece, facecolor="#0072B240", edgecolor="none")
+    draw_set(ax, candidate, facecolor="none", edgecolor=GREEN, linewidth=2)
+    label_axes(ax, mr.Polytope.box([-11, -12], [11, 11]), f"{symbol}: {checks[name].verdict}")
+    ax.set_ylabel("$x_2$" if ax is axes[0] else "")
+    witness = checks[name].witness
+    if witness is not None:
+        start, end = witness.states
+        ax.plot(*start, "o", color=BLACK, label=r"$x \in \mathcal{F}$")
+        ax.plot(*end, "X", color=RED, markersize=8, label=r"$x^+ \notin \mathcal{F}$")
+        arrow = {"arrowstyle": "-|>", "color": RED, "linewidth": 1.8, "connectionstyle": "arc3,rad=-0.5", "shrinkB": 3}
+        ax.annotate("", end, start, arrowprops=arrow)
+fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+plt.show()
+
+# %% [markdown]
+# Green outline: the candidate; blue: its image $\mathcal{R}_1^{\mathcal{D}}$. In the first two panels a red arrow
+# leads from a state of the set to a successor outside it, so these sets are refuted for good. In the third all of the
+# blue lies within the green: $\mathcal{F}_{\max}$ is proven to be RPI.
+#
+# The refutation of the boxes is no accident. In mode 3, $x_2^+ = 0.491\,x_1 + 0.62\,x_2 + d_2$ does not depend on the
+# input at all. At the corner $(-r, -r)$ that gives $-1.111\,r - 0.15 < -r$: whatever the controller does, no
+# box $|x|_\infty \le r$ is RPI. An RPI set must give up that corner.
+
+# %% tags=["nbval-check-output"]
+for r in (0.5, 2, 6, 10):
+    check = mr.check_rpi(loop, mr.Polytope.box([-r, -r], [r, r]))
+    print(f"r = {r}: {check.verdict}, margin along (0, -1): {check.margin[3]:.3f}")
+
+# %% [markdown]
+# The MILP engine reaches the same verdict without any cells, and would in ten dimensions too. There is a third
+# verdict, *unknown*: a solver that is stopped early has a bound that is too weak for a proof, and no counterexample
+# either.
+
+# %% tags=["nbval-check-output"]
+for name, candidate in candidates.items():
+    print(f"{name}: {mr.check_rpi(loop, candidate, engine='milp').verdict} by the MILP")
+
+# %% [markdown]
+# ## What you saw
+#
+# - Eq. MISysWithDis adds one vector $d$ and one switched inequality a mode to the model of notebook 03; boxes, segments
+#   and points are all just rows $H^{(\mathcal{D}^{(i)})} d \le h^{(\mathcal{D}^{(i)})}$.
+# - Lemma 2 turns "how far can the loop get along $v$ in $k$ steps" into one MILP with $k N_1$ binaries.
+# - Outer steps need $N_1$ binaries each, whatever $k$, and lose what the template cannot follow: bays, islands, gaps.
+# - The RPI check loses nothing: it asks along the facets of the set itself, and a "no" comes with a witness.
+#
+# ## On your own
+#
+# - Move $\mathcal{F}$ in section 4 away from the boundary $x_1 = 0$. Do black and red still part at $k = 2$?
+# - Use `mr.directions(32)` in the outer steps. What becomes better, and what cannot?
+# - Replace the disturbance by `loop.with_disturbance(segment.scale(0.1))`. Is $\mathcal{F}_{\max}$ still RPI?
+# - Exercises: `exercises/ex04` asks you to refute sets by hand, and for the largest disturbance a set survives.
+#
+# ## Further reading
+#
+# - D. Teichrib, M. Schulze Darup, *A mixed-integer framework for analyzing neural network-based controllers for
+#   piecewise affine systems with bounded disturbances*, ECC 2025: Sec. III (Lemmas 1 and 2, eq. Rover1), Def. 1.
+# - A. Bemporad, M. Morari, *Control of systems integrating logic, dynamics, and constraints*, Automatica 1999: the
+#   big-$M$ model of piecewise-affine dynamics.
+# - S. V. Raković et al., *Invariant approximations of the minimal robust positively invariant set*, IEEE TAC 2005.
+#
+# Next: **05_from_mpc_to_a_maxout_net**, where the controller $\Phi$ comes from.

@@ -1,0 +1,297 @@
+"""The cells against brute force over all modes and winning channels, and against sampled trajectories."""
+
+import numpy as np
+import pytest
+from loops import (
+    affine_loop,
+    assert_replays,
+    brute_support,
+    evaluate,
+    jump_loop,
+    narrow_spike,
+    random_images,
+    random_loop,
+)
+
+from mireach import ClosedLoop, Layer, MaxoutNetwork, Mode, Polytope, PWASystem, directions
+from mireach.engines.cells import cells, support
+
+V = np.vstack([directions(5), [[-5, 1]]])
+SETS = {
+    "X": Polytope.box([-9, -9], [9, 9]),
+    "box": Polytope.box([-0.8, -1.1], [1.3, 0.4]),
+    "triangle": Polytope.from_points([[-1.2, -0.7], [1.4, -0.2], [0.1, 1.3]]),
+    "flat": Polytope.box([-1, 0.25], [1.5, 0.25]),
+    "segment": Polytope.from_points([[-1.1, 0.7], [0.9, -0.6]]),
+    "point": Polytope.box([0.3, -0.4], [0.3, -0.4]),
+    "half-plane": Polytope([[1.0, 2.0]], [0.5]),
+}
+KINDS_OF_LOOPS = [
+    {"cuts": 0, "width": 2, "pool": 3},
+    {"cuts": 2},
+    {"cuts": 3, "with_input": True},
+    {"cuts": 2, "with_input": True, "m": 2, "saturated": True, "layers": 1},
+]
+
+
+def check(loop, F, found, expected, V=V, exact=1e-7):
+    np.testing.assert_allclose(found.value, expected, rtol=0, atol=exact)
+    assert (found.bound >= expected - 1e-9).all() and (found.bound >= found.value).all()
+    for v, value, witness in zip(V, found.value, found.witness, strict=True):
+        assert_replays(loop, F, v, value, witness)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", KINDS_OF_LOOPS, ids=lambda kind: ",".join(map(str, kind.values())))
+def test_one_step_is_the_best_of_all_modes_and_channels(seed, kind):
+    loop = random_loop(seed, **kind)
+    for F in list(SETS.values())[seed % 2 :: 2]:
+        check(loop, F, support(loop, F, V), brute_support(loop, F, V))
+
+
+@pytest.mark.parametrize(("seed", "steps"), [(0, 2), (1, 2), (2, 2), (3, 2), (4, 3), (5, 3)])
+def test_several_steps_are_the_best_of_all_sequences(seed, steps):
+    loop = random_loop(seed, cuts=1, layers=1, width=1 + (steps == 2), with_input=seed % 2 == 1)
+    for F in (SETS["X"], SETS["segment"], SETS["point"]):
+        expected = brute_support(loop, F, V[:5], steps)
+        found = support(loop, F, V[:5], steps)
+        if np.isfinite(expected).all():
+            check(loop, F, found, expected, V[:5])
+        else:
+            assert (found.bound == -np.inf).all() and found.witness == (None,) * 5
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("steps", [1, 2])
+def test_no_sampled_trajectory_passes_the_bound(seed, steps):
+    loop = random_loop(seed, cuts=3, with_input=seed % 2 == 0, layers=2, width=3, pool=3)
+    rng = np.random.default_rng(seed)
+    for F in (SETS["X"] & loop.system.state_set, SETS["triangle"]):
+        images = random_images(loop, F, rng, 300, steps)
+        found = support(loop, F, V, steps)
+        assert len(images) == 0 or ((images @ V.T).max(axis=0) <= found.bound).all()
+
+
+def test_multi_step_equals_steps_of_one_for_an_affine_loop():
+    A = np.array([[0.6, 0.5], [-0.4, 0.7]])
+    D = Polytope.from_points([[0.1, 0.1], [-0.1, 0.2]])
+    loop, F = affine_loop(A, D, limits=5.0), Polytope.box([-1, -1], [1, 0.5])
+    expected, power = np.zeros(len(V)), np.eye(2)
+    for _ in range(3):
+        expected += D.support(V @ power)
+        power = power @ A
+    expected += F.support(V @ power)
+    np.testing.assert_allclose(support(loop, F, V, 3).value, expected, atol=1e-9)
+
+
+# -- where the map jumps ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "F",
+    [
+        Polytope.box([1, 0.5], [1, 0.5]),
+        Polytope.box([1, -1], [1, 1]),
+        Polytope.box([1, -1], [2, 1]),
+        Polytope.box([0, -1], [1, 1]),
+        Polytope([[1.0, 0], [-1.0, 0]], [1.0, -1.0]),
+    ],
+    ids=["point", "segment", "box to the right", "box to the left", "line"],
+)
+def test_both_values_count_on_a_shared_boundary(F):
+    loop = jump_loop([2.0, -1.0], [-3.0, 1.5])
+    found = support(loop, F, directions(4))
+    np.testing.assert_allclose(found.value, [2, 1.5, 3, 1], atol=1e-12)
+    assert [int(witness.modes[0]) for witness in found.witness] == [0, 1, 1, 0]
+    for v, value, witness in zip(directions(4), found.value, found.witness):
+        assert_replays(loop, F, v, value, witness)
+
+
+def test_only_one_value_counts_off_the_boundary():
+    loop = jump_loop([2.0, -1.0], [-3.0, 1.5])
+    for x1, image in ((1 - 1e-6, [2, -1]), (1 + 1e-6, [-3, 1.5])):
+        found = support(loop, Polytope.box([x1, 0], [x1, 0]), directions(4))
+        np.testing.assert_allclose(found.value, directions(4) @ image, atol=1e-12)
+
+
+def test_both_values_count_where_the_boundary_follows_the_input():
+    """Regions u <= x2 and u >= x2 with Phi = max(x1, 0): they share the line x2 = max(x1, 0) only."""
+    net = MaxoutNetwork([Layer([[1.0, 0], [0, 0]], [0, 0], 2)], [[1.0]], [0.0])
+    zero, column = np.zeros((2, 2)), np.zeros((2, 1))
+    modes = [
+        Mode(zero, column, [1.0, 0], Polytope([[0, -1.0, 1]], [0.0])),
+        Mode(zero, column, [0.0, 1], Polytope([[0, 1.0, -1]], [0.0])),
+    ]
+    loop = ClosedLoop(PWASystem(modes, Polytope.box([-2, -2], [2, 2]), Polytope.box([0], [2])), net)
+    for x, both in (([0.5, 0.5], True), ([-1, 0], True), ([0, 0], True), ([0.5, 0.6], False), ([-1, 0.1], False)):
+        found = support(loop, Polytope.box(x, x), [[1.0, 0], [0, 1.0]]).value
+        assert found.tolist() == ([1, 1] if both else [1, 0])
+
+
+def test_mode_specific_disturbances_count_where_their_mode_acts():
+    sets = [Polytope.box([0, 0], [0.5, 0]), Polytope.box([0, 0.25], [0, 0.25])]
+    loop = jump_loop([0, 0], [0, 0], sets)
+    V = directions(4)
+    assert support(loop, Polytope.box([0, 0], [0.5, 0.5]), V).value.tolist() == [0.5, 0, 0, 0]
+    assert support(loop, Polytope.box([2, 0], [2, 0]), V).value.tolist() == [0, 0.25, 0, -0.25]
+    assert support(loop, Polytope.box([1, 0], [1, 0]), V).value.tolist() == [0.5, 0.25, 0, 0]
+
+
+def test_step_after_a_boundary_goes_on_from_both_values():
+    loop = jump_loop([1.0, 1.0], [-2.0, 0.5])
+    found = support(loop, Polytope.box([0, 0], [0, 0]), directions(4), steps=2)
+    np.testing.assert_allclose(found.value, [1, 1, 2, -0.5], atol=1e-12)
+
+
+def test_trajectories_that_leave_the_state_set_end_there():
+    loop = jump_loop([9.0, 0.0], [0.5, 0.0])
+    start = Polytope.box([0, 0], [2, 0])
+    assert support(loop, start, [[1.0, 0]]).value.tolist() == [9]
+    assert support(loop, start, [[1.0, 0]], steps=2).value.tolist() == [9]
+    assert support(loop, Polytope.box([0, 0], [0.5, 0]), [[1.0, 0]], steps=2).bound.tolist() == [-np.inf]
+
+
+# -- the cells themselves -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_cells_cover_the_state_set_with_the_right_piece(seed):
+    loop = random_loop(seed, cuts=3, with_input=seed % 2 == 0, layers=2, width=3, pool=3)
+    found = cells(loop)
+    for x in loop.system.state_set.sample(np.random.default_rng(seed), 150):
+        u = evaluate(loop.network, x)
+        owners = [i for i in range(len(found)) if inside(found.polygons[i], x)]
+        assert owners
+        for i in owners:
+            region = loop.system.modes[found.mode[i]].region
+            assert (region.H @ np.concatenate([x, u]) <= region.h + 1e-8).all()
+            np.testing.assert_allclose(found.K[i] @ x + found.g[i], u, atol=1e-8)
+
+
+def inside(points, x):
+    """Whether a polygon with an interior holds x; others are left out."""
+    onward = np.roll(points, -1, axis=0) - points
+    turns = onward[:, 0] * (x[1] - points[:, 1]) - onward[:, 1] * (x[0] - points[:, 0])
+    size = np.abs(turns).max()
+    return size > 1e-9 and ((turns >= -1e-12).all() or (turns <= 1e-12).all())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_areas_of_the_cells_add_up_to_the_state_set(seed):
+    loop = random_loop(seed, cuts=3, with_input=seed % 2 == 0, layers=2, width=3, pool=3)
+    found, total = cells(loop).polygons, 0.0
+    for i in range(len(found)):
+        x, y = found[i].T
+        total += abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    lower, upper = loop.system.state_set.bounding_box()
+    assert total == pytest.approx(np.prod(upper - lower), rel=1e-9)
+
+
+def test_cells_are_shared_by_loops_that_differ_in_the_dynamics_only():
+    loop = random_loop(0)
+    assert cells(loop) is cells(loop.with_disturbance(Polytope.box([0, 0], [1, 1])))
+
+
+# -- accuracy and soundness ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.0, 1e3, 1e6])
+def test_bound_scales_with_the_length_of_a_direction(length):
+    loop, F = random_loop(3), SETS["X"]
+    plain, scaled = support(loop, F, V), support(loop, F, length * V)
+    np.testing.assert_allclose(scaled.value / length, plain.value, rtol=1e-12)
+    assert (scaled.bound - scaled.value >= 1e-13 * np.maximum(length, 1)).all()
+    assert (scaled.bound - scaled.value <= 1e-9 * np.maximum(length, 1)).all()
+
+
+def test_large_disturbances_are_covered_by_the_rounding():
+    D = Polytope.box([-1e6 / 3, -1e6 / 7], [1e6 / 3, 1e6 / 7])
+    found = support(affine_loop(0.5 * np.eye(2), D), Polytope.box([-1, -1], [1, 1]), V)
+    assert (found.bound - found.value >= 1e-8).all()
+
+
+def test_flat_state_set_gives_flat_cells():
+    system = affine_loop(0.5 * np.eye(2)).system
+    flat = PWASystem(system.modes, Polytope.box([-1, 0.5], [2, 0.5]), system.input_set)
+    net = MaxoutNetwork([Layer([[0.1, 0], [0, 0]], [0, 0.1], 2)], [[1.0]], [0.0])
+    loop = ClosedLoop(flat, net)
+    np.testing.assert_allclose(support(loop, SETS["X"], directions(4)).value, [1, 0.25, 0.5, -0.25], atol=1e-12)
+
+
+def test_empty_set_and_set_outside_have_no_image():
+    loop = random_loop(0)
+    for F in (Polytope.box([20, 20], [21, 21]), Polytope([[1.0, 0], [-1, 0]], [0, -1]), Polytope([[0.0, 0]], [-1])):
+        found = support(loop, F, V)
+        assert (found.value == -np.inf).all() and (found.bound == -np.inf).all() and set(found.witness) == {None}
+
+
+# -- bad input ----------------------------------------------------------------------------------------
+
+
+def test_network_that_leaves_the_input_set_between_samples_is_found():
+    loop = narrow_spike()
+    with pytest.raises(ValueError, match=r"leaves the input set by 1.*x = \[0\.71"):
+        support(loop, Polytope.box([-1, -1], [0, 0]), V)
+    with pytest.raises(ValueError, match="leaves the input set"):
+        cells(loop)
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda loop: support(loop, SETS["X"], [[1.0, 0, 0]]), ["V has shape (1, 3)", "2"]),
+        (lambda loop: support(loop, SETS["X"], [[np.nan, 0]]), ["V must be finite"]),
+        (lambda loop: support(loop, SETS["X"], [1.0, 0]), ["V must have 2 axes"]),
+        (lambda loop: support(loop, Polytope.box([0], [1]), V), ["F lies in R^1", "2 entries"]),
+        (lambda loop: support(loop, SETS["X"], V, 0), ["steps", "at least 1", "0"]),
+        (lambda loop: support(loop, SETS["X"], V, 1.5), ["steps", "whole number", "1.5"]),
+        (lambda loop: cells(random_loop(0, 3)), ["2 states", "has 3", "milp"]),
+    ],
+)
+def test_bad_arguments_are_named(ask, words):
+    with pytest.raises(ValueError) as error:
+        ask(random_loop(0))
+    assert all(word in str(error.value) for word in words), str(error.value)
+
+
+def test_too_many_pieces_are_refused(monkeypatch):
+    import mireach.engines.cells as module
+
+    monkeypatch.setattr(module, "MOST_PIECES", 3)
+    with pytest.raises(ValueError, match=r"after 1 steps .* pieces; take fewer steps"):
+        support(random_loop(0, cuts=3), SETS["X"], V, 2)
+
+
+def test_ties_between_equal_channels_give_one_cell():
+    layer = Layer([[1.0, 0], [1.0, 0], [1.0, 0]], [0.5, 0.5, 0.5], 3)
+    loop = ClosedLoop(
+        PWASystem(
+            [Mode(np.eye(2), np.ones((2, 1)), np.zeros(2), Polytope([[1.0, 0, 0]], [9.0]))],
+            Polytope.box([-1, -1], [1, 1]),
+            Polytope.box([-3], [3]),
+        ),
+        MaxoutNetwork([layer], [[1.0]], [0.0]),
+    )
+    assert len(cells(loop)) == 1
+    np.testing.assert_allclose(support(loop, SETS["X"], directions(4)).value, [2.5, 2.5, 1.5, 1.5], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ties_on_whole_edges_lose_nothing(seed):
+    """Integer weights and boundaries make channels, regions and X tie along edges and at corners."""
+    rng = np.random.default_rng(seed)
+    layers = [Layer(rng.integers(-1, 2, (4, 2)), rng.integers(-1, 2, 4), 2) for _ in range(2)]
+    net = MaxoutNetwork(layers, rng.integers(-1, 2, (1, 2)), [0.0]).saturate(-1, 1)
+    cut = np.append(rng.integers(-1, 2, 2), 1.0)[None]
+    modes = [
+        Mode(rng.integers(-1, 2, (2, 2)), rng.integers(-1, 2, (2, 1)), rng.integers(-1, 2, 2), Polytope(s * cut, [0.0]))
+        for s in (1, -1)
+    ]
+    loop = ClosedLoop(PWASystem(modes, Polytope.box([-2, -2], [2, 2]), Polytope.box([-1], [1])), net)
+    for F in (SETS["X"], Polytope.box([-1, -1], [1, 1]), Polytope.box([0, -2], [0, 2]), Polytope.box([1, 1], [1, 1])):
+        check(loop, F, support(loop, F, V), brute_support(loop, F, V))
+
+
+def test_narrow_spike_is_a_spike():
+    net = narrow_spike().network
+    assert net([[0.7123, 0], [0.0, 0], [0.72, 0]]).ravel() == pytest.approx([2, 0, 0])

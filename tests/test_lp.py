@@ -1,0 +1,52 @@
+"""The warm-started linear program against scipy."""
+
+import highspy
+import numpy as np
+import pytest
+from loops import largest
+
+from mireach.errors import SolverError
+from mireach.lp import LinearProgram
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_objective_after_another_gives_what_fresh_programs_give(seed):
+    rng = np.random.default_rng(seed)
+    A, b = rng.normal(size=(12, 4)), rng.uniform(0, 2, 12)
+    lp = LinearProgram()
+    x = lp.add_columns(-np.ones(4), [1, 2, 3, 4])
+    lp.add_rows(x, A, upper=b)
+    H, h = np.vstack([A, np.eye(4), -np.eye(4)]), np.concatenate([b, [1, 2, 3, 4], np.ones(4)])
+    for c in rng.normal(size=(10, 4)):
+        best = lp.maximize(x, c)
+        assert best.value == pytest.approx(largest(c, H, h), abs=1e-8)
+        assert c @ best.point == pytest.approx(best.value) and (H @ best.point <= h + 1e-8).all()
+
+
+def test_infeasible_and_unbounded_are_told_apart_and_do_not_stick():
+    lp = LinearProgram()
+    x = lp.add_columns([-np.inf, 0.0], [np.inf, 1.0])
+    assert lp.maximize(x, [1, 0]).value == np.inf and lp.maximize(x, [1, 0]).point is None
+    assert lp.maximize(x, [0, 1]).value == 1
+    lp.set_bounds(x[0], 2, 3)
+    assert lp.maximize(x, [1, 1]).value == 4 and lp.maximize(x, [-1, 0]).value == -2
+    lp.add_row(x, [1, 0], lower=5)
+    assert lp.maximize(x, [1, 1]).value == -np.inf
+
+
+def test_objective_of_the_last_question_is_forgotten():
+    lp = LinearProgram()
+    x = lp.add_columns([0, 0], [1, 1])
+    lp.maximize(x, [5, 5])
+    assert lp.maximize(x[:1], [1]).value == 1
+
+
+def test_solver_without_an_answer_is_an_error_and_not_a_number():
+    lp = LinearProgram()
+    x = lp.add_columns(np.zeros(3), np.ones(3))
+    lp.add_row(x, [1, 1, 1], upper=1.5)
+    lp.highs.setOptionValue("simplex_iteration_limit", 0)
+    lp.highs.setOptionValue("solver", "simplex")
+    with pytest.raises(SolverError, match="HiGHS ended"):
+        lp.maximize(x, [1, 2, 3])
+    assert highspy.HighsModelStatus.kIterationLimit == lp.highs.getModelStatus()

@@ -1,0 +1,226 @@
+"""Polytopes against scipy: supports by linprog, vertices by qhull, and the algebra of sets on random ones."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from loops import largest
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+from mireach import Polytope, box_directions, directions
+
+small = st.floats(-5, 5, allow_subnormal=False)
+points = arrays(float, st.tuples(st.integers(3, 12), st.just(2)), elements=st.integers(-40, 40).map(lambda k: k / 8))
+rows = arrays(float, (4, 2), elements=small)
+
+
+@st.composite
+def polytopes(draw, n=2):
+    """Nonempty bounded sets: a box of any size, cut by random rows that keep its middle."""
+    rng = np.random.default_rng(draw(st.integers(0, 10**6)))
+    middle, reach = rng.uniform(-3, 3, n), rng.uniform(0.2, 3, n)
+    H = rng.normal(size=(draw(st.integers(0, 4)), n))
+    return Polytope.box(middle - reach, middle + reach) & Polytope(H, H @ middle + rng.uniform(0, 2, len(H)))
+
+
+def by_linprog(P, V):
+    return np.array([largest(v, P.H, P.h) for v in V])
+
+
+# -- support ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_support_is_the_optimum_of_a_linear_program(n):
+    rng = np.random.default_rng(n)
+    for _ in range(8):
+        H = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(5, n))])
+        P = Polytope(H, rng.uniform(0, 3, len(H)))
+        V = rng.normal(size=(6, n))
+        np.testing.assert_allclose(P.support(V), by_linprog(P, V), rtol=0, atol=1e-8)
+
+
+def test_support_of_unbounded_and_empty_sets():
+    half_plane = Polytope([[1.0, 0.0]], [2.0])
+    assert half_plane.support([[1, 0], [-1, 0], [0, 1]]).tolist() == [2.0, np.inf, np.inf]
+    assert not half_plane.is_bounded and not half_plane.is_empty
+    empty = Polytope([[1.0, 0.0], [-1.0, 0.0]], [0.0, -1.0])
+    assert empty.is_empty and empty.is_bounded and len(empty.vertices()) == 0
+    assert (empty.support(directions(5)) == -np.inf).all()
+    assert empty.is_subset(Polytope.box([9, 9], [9, 9]))
+    assert Polytope([[0.0, 0.0]], [-1.0]).is_empty and not Polytope([[0.0, 0.0]], [1.0]).is_empty
+
+
+@given(polytopes(), rows)
+def test_support_is_subadditive_and_positively_homogeneous(P, V):
+    a, b = P.support(V[:2]), P.support(V[2:])
+    assert (P.support(V[:2] + V[2:]) <= a + b + 1e-9).all()
+    np.testing.assert_allclose(P.support(3.5 * V[:2]), 3.5 * a, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("far", [1e3, 1e9, 1e12])
+def test_redundant_row_far_away_does_not_blur_a_small_set(far):
+    small_box = Polytope.box([-1e-4, -1e-4], [1e-4, 2e-4])
+    P = small_box & Polytope([[0.6, 0.8]], [far])
+    assert len(P.vertices()) == 4
+    np.testing.assert_allclose(P.support(directions(8)), small_box.support(directions(8)), rtol=1e-9)
+
+
+# -- vertices -----------------------------------------------------------------------------------------
+
+
+@given(points)
+def test_vertices_of_a_hull_are_those_of_qhull_and_counter_clockwise(points):
+    P = Polytope.from_points(points)
+    corners = P.vertices()
+    assert P.contains(points, tol=1e-9).all()
+    rank = np.linalg.matrix_rank(points - points[0], tol=1e-9)
+    assert len(corners) == {0: 1, 1: 2}.get(rank, len(ConvexHull(points).vertices) if rank == 2 else 0)
+    assert np.abs(corners[:, None] - points[None]).max(axis=2).min(axis=1).max() < 1e-8
+    if rank == 2:
+        onward, before = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
+        assert (before[:, 0] * onward[:, 1] - before[:, 1] * onward[:, 0] > 0).all()
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_vertices_are_those_of_qhull_halfspaces(n):
+    rng = np.random.default_rng(7 * n)
+    for _ in range(6):
+        H = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(4, n))])
+        h = rng.uniform(0.5, 2, len(H))
+        expected = HalfspaceIntersection(np.column_stack([H, -h]), np.zeros(n)).intersections
+        found = Polytope(H, h).vertices()
+        gaps = np.abs(found[:, None] - expected[None]).max(axis=2)
+        assert gaps.min(axis=0).max() < 1e-8 and gaps.min(axis=1).max() < 1e-8
+
+
+def test_vertices_of_points_and_segments():
+    assert Polytope.box([1, 2], [1, 2]).vertices().tolist() == [[1, 2]]
+    ends = np.array([[0.3, -1.7], [2.1, 0.4]])
+    corners = Polytope.from_points(ends).vertices()
+    np.testing.assert_allclose(corners[np.argsort(corners[:, 0])], ends, atol=1e-12)
+    assert len(Polytope.box([0, 0, 0], [1, 0, 0]).vertices()) == 2
+
+
+# -- inclusion, intersection, scaling -----------------------------------------------------------------
+
+
+@given(polytopes(), polytopes(), st.integers(0, 10**6))
+def test_intersection_holds_exactly_what_both_hold(P, Q, seed):
+    x = np.random.default_rng(seed).uniform(-5, 5, (50, 2))
+    both = P & Q
+    assert (both.contains(x) == (P.contains(x) & Q.contains(x))).all()
+    assert both.is_subset(P) and both.is_subset(Q)
+
+
+@given(polytopes())
+def test_every_set_lies_in_itself_without_tolerance(P):
+    assert P.is_subset(P) and (P & P).is_subset(P) and P.is_subset(P & P)
+    assert P.is_subset(P.scale(1.5, P.chebyshev()[0])) and not P.scale(1.5, P.chebyshev()[0]).is_subset(P)
+
+
+@given(polytopes(), polytopes())
+def test_inclusion_is_inclusion_of_all_vertices(P, Q):
+    excess = (P.vertices() @ Q.H.T - Q.h).max()
+    if abs(excess) > 1e-7:
+        assert P.is_subset(Q) == (excess < 0)
+        assert P.is_subset(Q, tol=excess + 1e-9)
+
+
+@given(polytopes(), st.floats(0.1, 4), arrays(float, 2, elements=small))
+def test_scaling_moves_every_vertex_along_its_ray_from_the_centre(P, s, c):
+    V = directions(7)
+    expected = (V @ (c + s * (P.vertices() - c)).T).max(axis=1)
+    np.testing.assert_allclose(P.scale(s, c).support(V), expected, atol=1e-8)
+    np.testing.assert_allclose(P.scale(s).support(V), s * P.support(V), atol=1e-8)
+
+
+def test_operations_leave_their_inputs_alone():
+    P, Q = Polytope.box([0, 0], [1, 1]), Polytope.box([-1, -1], [0.5, 0.5])
+    before = P.H.copy(), P.h.copy()
+    P & Q, P.scale(2), P.product(Q), P.vertices(), P.support(directions(4))
+    assert (before[0] == P.H).all() and (before[1] == P.h).all()
+    with pytest.raises(ValueError):
+        P.h[0] = 3
+    P.vertices()[0] = 9
+    assert P.vertices().max() == 1
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_chebyshev_ball_fits_and_no_larger_one_does(n):
+    P = Polytope.box(np.zeros(n), np.arange(1.0, n + 1))
+    centre, radius = P.chebyshev()
+    assert radius == pytest.approx(0.5) and P.contains(centre, tol=1e-9)
+    assert Polytope.box([0, 0], [0, 3]).chebyshev()[1] == pytest.approx(0, abs=1e-9)
+    assert Polytope([[1.0, 0], [-1.0, 0]], [0, -1]).chebyshev()[1] == pytest.approx(-0.5)
+    assert Polytope([[1.0, 0]], [0]).chebyshev() == (None, np.inf)
+
+
+@pytest.mark.parametrize(
+    "P",
+    [Polytope.box([0, 1], [2, 4]), Polytope.box([1, 1], [1, 1]), Polytope.from_points([[0, 0], [1, 1]])],
+    ids=["box", "point", "segment"],
+)
+def test_samples_lie_in_the_set(P):
+    x = P.sample(np.random.default_rng(0), 100)
+    assert x.shape == (100, 2) and P.contains(x, tol=1e-9).all()
+    if P.vertices().shape[0] > 1:
+        assert np.ptp(x, axis=0).min() > 0.5
+
+
+def test_product_holds_pairs():
+    both = Polytope.box([0], [1]).product(Polytope.box([2, 2], [3, 3]))
+    assert both.contains([[0.5, 2.5, 3.0]]).all() and not both.contains([0.5, 1.9, 2.5])
+
+
+# -- files and templates ------------------------------------------------------------------------------
+
+
+@given(arrays(float, (5, 3), elements=st.floats(-1e300, 1e300)))
+def test_dict_reads_back_to_the_same_bits(numbers):
+    P = Polytope(numbers[:, :2], numbers[:, 2])
+    Q = Polytope.from_dict(json.loads(json.dumps(P.to_dict())))
+    assert Q.H.tobytes() == P.H.tobytes() and Q.h.tobytes() == P.h.tobytes()
+
+
+def test_directions_are_unit_rows_with_exact_axes():
+    C = directions(8)
+    np.testing.assert_allclose(np.linalg.norm(C, axis=1), 1)
+    assert C[[0, 2, 4, 6]].tolist() == [[1, 0], [0, 1], [-1, 0], [0, -1]]
+    assert box_directions(2).tolist() == [[1, 0], [0, 1], [-1, 0], [0, -1]]
+
+
+# -- bad input ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Polytope(np.eye(2), [1.0, 2.0, 3.0]), ["H has 2 rows", "h has 3"]),
+        (lambda: Polytope([[np.nan, 1]], [1.0]), ["H must be finite", "(0, 0)"]),
+        (lambda: Polytope([[1.0, 1]], [np.inf]), ["h must be finite"]),
+        (lambda: Polytope([1.0, 2.0], [1.0]), ["H must have 2 axes", "(2,)"]),
+        (lambda: Polytope([["a", "b"]], [1.0]), ["H must be an array of numbers"]),
+        (lambda: Polytope(np.zeros((1, 0)), [1.0]), ["no columns"]),
+        (lambda: Polytope.box([0, 0], [1, -1]), ["lower must not exceed upper", "entry 1"]),
+        (lambda: Polytope.box([0, 0], [1]), ["lower has 2", "upper has 1"]),
+        (lambda: Polytope.box([0, 0], [1, 1]).support([[1, 2, 3]]), ["V has shape (1, 3)", "2"]),
+        (lambda: Polytope.box([0, 0], [1, 1]).contains([1, 2, 3]), ["x has shape (3,)", "2"]),
+        (lambda: Polytope.box([0, 0], [1, 1]).is_subset(Polytope.box([0], [1])), ["R^2", "R^1"]),
+        (lambda: Polytope.box([0, 0], [1, 1]) & Polytope.box([0], [1]), ["R^2", "R^1"]),
+        (lambda: Polytope.box([0], [1]).scale(0), ["s must be positive", "0"]),
+        (lambda: Polytope([[1.0, 0]], [1.0]).vertices(), ["unbounded", "intersect"]),
+        (lambda: Polytope([[1.0], [-1.0]], [0, -1.0]).sample(np.random.default_rng(0), 3), ["empty"]),
+        (lambda: Polytope([[1.0]], [0]).sample(np.random.default_rng(0), 3), ["unbounded"]),
+        (lambda: Polytope.from_points(np.zeros((0, 2))), ["points is empty"]),
+        (lambda: Polytope.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]), ["no volume", "R^3"]),
+        (lambda: directions(2), ["at least 3", "2"]),
+    ],
+)
+def test_bad_arguments_are_named(make, words):
+    with pytest.raises(ValueError) as error:
+        make()
+    assert all(word in str(error.value) for word in words), str(error.value)
