@@ -48,7 +48,7 @@ def draw_regions(ax, system):
 def draw_trajectories(ax, trajectories, **style):
     """Draw one trajectory (steps + 1, 2) or several (N, steps + 1, 2) as thin lines; a label is given once."""
     label = style.pop("label", None)
-    for i, path in enumerate(np.atleast_3d(trajectories) if trajectories.ndim == 3 else trajectories[None]):
+    for i, path in enumerate(trajectories if trajectories.ndim == 3 else trajectories[None]):
         ax.plot(*path.T, label=label if i == 0 else None, **style)
 
 

@@ -1,0 +1,52 @@
+"""What is drawn has the right shape: read back from the artists."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import mireach as mr
+from mireach import plotting
+
+
+@pytest.fixture
+def ax():
+    return Figure().add_subplot()
+
+
+def test_polygon_is_drawn_with_its_vertices(ax):
+    P = mr.Polytope.from_points([[0, 0], [2, 0], [0, 1]])
+    drawn = plotting.draw_set(ax, P, **plotting.SAFE).get_xy()
+    assert {tuple(np.round(corner, 9) + 0.0) for corner in drawn} == {(0, 0), (2, 0), (0, 1)}
+
+
+def test_segments_and_points_are_drawn_too(ax):
+    segment = plotting.draw_set(ax, mr.Polytope.box([0, 1], [3, 1]), **plotting.TERMINAL)
+    assert sorted(segment.get_xdata()) == [0, 3] and segment.get_linestyle() == "-"
+    point = plotting.draw_set(ax, mr.Polytope.box([2, 1], [2, 1]), edgecolor="k")
+    assert (point.get_xdata(), point.get_ydata()) == ([2], [1]) and point.get_marker() == "."
+
+
+def test_regions_that_depend_on_u_are_drawn_by_their_limits_of_x_alone(ax):
+    lower = mr.Polytope([[1, 0, 0], [0, 0, 1]], [0, 0.5])
+    upper = mr.Polytope([[1, 0, 0], [0, 0, -1]], [0, -0.5])
+    right = mr.Polytope([[-1, 0, 0]], [0])
+    modes = [mr.Mode(np.eye(2), [[1], [0]], [0, 0], region) for region in (lower, upper, right)]
+    system = mr.PWASystem(modes, mr.Polytope.box([-1, -1], [1, 1]), mr.Polytope.box([-1], [1]))
+    plotting.draw_regions(ax, system)
+    spans = sorted((patch.get_xy()[:, 0].min(), patch.get_xy()[:, 0].max()) for patch in ax.patches)
+    np.testing.assert_allclose(spans, [(-1, 0), (-1, 0), (0, 1)], atol=1e-12)
+
+
+def test_history_spreads_its_panels_from_the_first_set_to_the_last():
+    axes = Figure().subplots(1, 4)
+    history = [mr.Polytope.box([-r, -r], [r, r]) for r in (5, 4, 3, 2, 1)]
+    plotting.plot_history(axes, history)
+    assert [ax.get_title() for ax in axes] == [rf"$\mathcal{{F}}_{{{k}}}$" for k in (0, 1, 3, 4)]
+    assert [len(ax.patches) for ax in axes] == [1, 2, 4, 5]
+
+
+def test_trajectories_get_one_label(ax):
+    plotting.draw_trajectories(ax, np.zeros((3, 5, 2)), label="paths")
+    assert len(ax.lines) == 3 and len(ax.get_legend_handles_labels()[1]) == 1
+    plotting.draw_trajectories(ax, np.zeros((5, 2)), label="one")
+    assert len(ax.lines) == 4
