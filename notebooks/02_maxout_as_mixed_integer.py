@@ -195,7 +195,7 @@ print(f"20,000 states:     Phi never exceeds the MILP's value: {bool((net(tried)
 # ### What it costs: counting binaries
 #
 # There is one $\delta_j$ for each channel of each neuron, so a network has $\sum_i p_i w_i$ of them. `net.binaries`
-# counts what it is given, saturation layers included (two neurons with two channels for each input).
+# counts what it is given, saturation layers included (two neurons with two channels for each entry of $u$).
 
 # %% tags=["nbval-check-output"]
 shapes = {"this notebook": net} | {name: mr.case_study(name).network for name in ("pwa", "double_integrator")}

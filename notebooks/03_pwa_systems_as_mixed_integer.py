@@ -119,9 +119,10 @@ plt.show()
 # a dotted line. (Those of mode 1 on the positive $x_1$ axis are the short tail below the origin.) All modes map the
 # origin to itself for $u = 0$, so there is no jump there; it grows with the distance.
 #
-# Which of the two is *the* successor? The equation does not say, and a computed state is never exactly on a boundary. A
-# point next to it may fall on either side, by rounding or by an arbitrarily small disturbance. So whoever wants to
-# prove something about the system takes **both**. A set that is proven safe with one value only is not safe.
+# Which of the two is *the* successor? The equation does not say, and no measured or computed state is known to be
+# exactly on a boundary: it may fall on either side, by rounding or by an arbitrarily small disturbance. So whoever
+# wants to prove something about the system takes **both**. A set that is proven safe with one value only need not be
+# safe.
 #
 # ## 3. Choose a region: eq. gammaForR
 #

@@ -119,7 +119,7 @@ for state, mode in zip(states, plant.modes):
 # %%
 fig, ax = plt.subplots(figsize=(6, 6))
 draw_regions(ax, plant)
-shapes = {"box": (-12, 16), "segment": (-58, 4), "point": (10, -4), "diamond": (-24, -34)}  # label offsets
+shapes = {"box": (-46, 8), "segment": (-58, 4), "point": (10, -4), "diamond": (-24, -34)}  # label offsets
 for state, (shape, offset) in zip(states, shapes.items()):
     image = mr.Polytope(C, one_step_support(state) + 1e-6)
     middle = image.vertices().mean(axis=0)
@@ -436,7 +436,7 @@ for r in (0.5, 2, 6, 10):
     print(f"r = {r}: {check.verdict}, margin along (0, -1): {check.margin[3]:.3f}")
 
 # %% [markdown]
-# The MILP engine reaches the same verdict without any cells, and would in ten dimensions too. There is a third
+# The MILP engine reaches the same verdict without any cells, and it is not bound to the plane. There is a third
 # verdict, *unknown*: a solver that is stopped early has a bound that is too weak for a proof, and no counterexample
 # either.
 

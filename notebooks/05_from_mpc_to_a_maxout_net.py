@@ -132,9 +132,9 @@ print("x2 = -6: u* at x1 = -4.6, -4.4:", optimal[-6][[44, 46]].round(2))
 
 # %% [markdown]
 # At $x_2 = 5$ the law is $-1$ left of the border between modes 4 and 1 and $+1$ right of it. The plant jumps
-# there, so it pays to
-# steer in the opposite direction. The second jump lies *inside* the region of mode 3: on its two sides different mode
-# sequences of the following steps are optimal. Keep both lines in mind: the network will have to cope with them.
+# there, so it pays to steer in the opposite direction. The jump printed for $x_2 = -6$ lies *inside* the region of
+# mode 3: on its two sides different mode sequences of the following steps are optimal. Keep both lines in
+# mind: the network will have to cope with them.
 #
 # ## 3. Train the network, live
 #
@@ -205,10 +205,11 @@ axes[0].legend(loc="center left", fontsize="small")
 plt.show()
 
 # %% [markdown]
-# The optimal law (dots) jumps, the network (line) cannot: it is continuous and connects the levels by steep ramps. A
-# sample on such a ramp may be missed by up to 2, and no amount of training changes that. This is no
-# reason to give up: what counts is not whether $\Phi$ equals $u^*$ but whether the *loop with $\Phi$* is safe, and
-# that is what the sets of the other notebooks decide.
+# The optimal law (dots) jumps, the network (line) cannot: it is continuous and connects the levels by steep ramps.
+# Training can make a ramp steeper, but next to a jump the error stays large on at least one side (exercise 05 asks
+# how large), and a sample on the ramp may be missed by up to 2. This is no reason to give up: what counts is not
+# whether $\Phi$ equals $u^*$ but whether the *loop with $\Phi$* is safe, and that is what the sets of the other
+# notebooks decide.
 #
 # ## 5. Saturate it exactly
 #
@@ -247,9 +248,10 @@ plt.show()
 # same network with the two layers: flat outside the contours, untouched between them. Right, both along the line: the
 # dashed curve leaves the grey band $\mathcal{U}$, the solid one follows it inside and stays at the edge outside.
 #
-# "Exactly" is meant literally. The weights of the new layers are 0, 1 and $-1$, so a saturated output is the float
-# $1.0$ and not $0.9999$ or $1.0000001$. We try it on a million values with the shipped network, which the rest of the
-# course uses:
+# "Exactly" is meant literally. The channels that hold the limits have weight 0 and the limit as their bias, and all
+# that comes after them is multiplied by $-1$, so a saturated output is the float
+# $1.0$ and not $0.9999$ or $1.0000001$. We try it on a million values with the shipped network, which the rest of
+# the course uses:
 
 # %% tags=["nbval-check-output"]
 shipped = case.network

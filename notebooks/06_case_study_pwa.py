@@ -157,9 +157,9 @@ for (name, v), here in zip(limits.items(), F_1.support(C_box)):
 # %% [markdown]
 # **What to see.** *Top* and *bottom* follow from the modes and $\mathcal{X}$ alone: $8.37 + 0.15$, and the edge of
 # $\mathcal{X}$. The *left* side is as near as it can be, because the network does the only sensible thing in the worst
-# state $(0, -10)$: it brakes with $\Phi = +1$, so that $-8.15 + 1 - 0.15 = -7.30$. So three sides agree with
-# the paper's box $[-7.3, 8.91] \times [-10, 8.52]$ to the digit, for every network that brakes there. The *right* side
-# is what a particular network makes of it.
+# state $(0, -10)$ and around it: it brakes with $\Phi = +1$, so that $-8.15 + 1 - 0.15 = -7.30$. So three sides agree
+# with the paper's box $[-7.3, 8.91] \times [-10, 8.52]$ to the digit, for every network that brakes there. The *right*
+# side is what a particular network makes of it.
 
 # %% tags=["nbval-check-output"]
 print("Phi(0, -10) =", loop.network(np.array([0.0, -10.0])).round(6))
@@ -276,7 +276,7 @@ for ax in axes.flat:
 plt.show()
 
 # %% [markdown]
-# **What to see.** The first step cuts off two whole corners of the box; after it the sets keep their shape and
+# **What to see.** The first step cuts off two whole corners of the box; after it the sets become rounder and
 # shrink a little in every step, until after some twenty there is little left to see at this scale. The slider (running
 # kernel) shows all sets; from step 20 on it moves closer.
 
@@ -313,7 +313,7 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** After some 25 steps the left panel stands still to the eye, but the sets still shrink by less and
-# less, by a constant factor a step at last. Right: the violation falls below zero at $\bar k$ (no dot there any more).
+# less, at last by about the same factor a step. Right: the violation falls below zero at $\bar k$ (no dot there).
 # With a smaller $\bar\epsilon$ it would take longer, without changing the picture.
 #
 # Figure 1 of the paper, for this network:
@@ -404,7 +404,7 @@ plt.show()
 # covers the gap between the clouds as well.
 #
 # Near the origin all four regions meet, so most disturbed states are then in another region than the nominal one.
-# That does no harm: next to the origin the four maps almost agree.
+# That does no harm: the four maps agree at the origin, so the jumps near it are small.
 
 # %% [markdown]
 # ## 6. Theorem 1 in numbers
@@ -467,7 +467,7 @@ plt.show()
 # %% [markdown]
 # **What to see.** The blue curve is a hump: the sets shrink in every direction by several percent for a while, then
 # more and more slowly, along a straight line in this scale. Where a facet rests (red cross) the blue value is missing,
-# the orange one is not. Towards $\bar k$ both agree. The paper's number (dotted) is of the same kind: about a
+# the orange one is not. Towards $\bar k$ both fall alike. The paper's number (dotted) is of the same kind: about a
 # millionth is what that sequence had left. That is also about the feasibility tolerance of a MILP solver; only
 # sets that are computed more precisely can tell such an $\alpha$ from 1.
 #
@@ -533,7 +533,7 @@ for name, paper, here in rows:
 # ## What you saw
 #
 # - Proposition Fmax is a loop of two lines; its test, $\overline{\mathcal{R}}_1(\mathcal{F}_k) \subseteq \mathcal{X}$,
-#   is exact for the sequence. Most sides of $\mathcal{F}_{\max}$ have nothing to do with the network here.
+#   is exact for the sequence. Two sides of $\mathcal{F}_{\max}$ have nothing to do with the network here.
 # - A template can fail where another succeeds; the witness shows at which state.
 # - Eq. TerminationFmin sandwiches the limit. The sets keep shrinking after the trajectories have long arrived.
 # - Reachable sets include jumps at region boundaries; the nominal trajectory tells nothing about them.

@@ -131,7 +131,7 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# **What to see.** One arch after the other, and a sharp tooth where two regions meet (grey): there the slope of
+# **What to see.** One bowl after the other, and a sharp tooth where two regions meet (grey): there the slope of
 # the error jumps from steeply up to steeply down. The two fits have the same slopes and differ by a constant: least
 # squares keeps the many points inside closer to zero and pays for it at the edges; minimax balances both ends. Over the
 # whole square the corners, not seen in this cut, are worst.
@@ -382,8 +382,8 @@ for name, result in (("least squares", fit), ("minimax", minimax)):
 # %% [markdown]
 # **What to see.** From the first to the third row the terminal set loses much of its area, and
 # $\mathcal{F}_{\max}$ is found sooner. (It also becomes a little *smaller*: the sequence of Proposition Fmax is
-# made of images of $\mathcal{X}$, and a smaller disturbance makes smaller images. Large is what it should be, but
-# the largest safe set it is not; notebook 10 computes that one.)
+# made of images of $\mathcal{X}$, and a smaller disturbance makes smaller images. So in spite
+# of its name it is a safe set, not the largest one.)
 #
 # Rows two and four agree, and so do three and six: the two fits differ by a constant, and a box or segment that need
 # not be centred at 0 makes up for a constant. With a *tight* error set the choice of the fit does not
@@ -412,7 +412,7 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** On the left a moderate difference; on the right the segment (dashed) leaves a markedly thinner
-# terminal set, above all across the diagonal, the direction in which it has no extent at all.
+# terminal set, above all across the diagonal: along $(1, -1)$ the segment has no extent at all.
 #
 # ## 8. What more regions buy
 #

@@ -11,7 +11,7 @@
 # %% [markdown]
 # # Go beyond the paper: exact cells, better centres, tighter errors, many seeds
 #
-# **What you will do.** Draw the closed loops of both case studies as what they are, a few hundred affine pieces,
+# **What you will do.** Draw the closed loops of both case studies as what they are, hundreds of affine pieces,
 # and compute $h_{\mathcal{R}_1}$ without any MILP. Find a network for which the paper's stopping rule never holds,
 # see why, and repair it. Shrink the error set of the double integrator from a square to a segment. Ask a study of
 # many trained networks how typical the paper's numbers are, and what decides them.
@@ -59,11 +59,10 @@ for name in cases:
 # %%
 def draw_cells(ax, found, colour, hatched):
     """All cells as polygons; `colour` (N, 4) is their face colour, `hatched` (N,) says which get a hatch."""
-    for chosen, hatch in ((~hatched, None), (hatched, "....")):
-        faces = [found.polygons[i] for i in np.flatnonzero(chosen)]
-        ax.add_collection(
-            PolyCollection(faces, facecolors=colour[chosen], edgecolors="black", linewidths=0.3, hatch=hatch)
-        )
+    faces = [found.polygons[i] for i in range(len(found))]
+    ax.add_collection(PolyCollection(faces, facecolors=colour, edgecolors="black", linewidths=0.3))
+    faces = [face for face, dots in zip(faces, hatched) if dots]  # grey dots: seen on dark and on bright cells
+    ax.add_collection(PolyCollection(faces, facecolors="none", edgecolors=plotting.GREY, linewidths=0, hatch="...."))
 
 
 # %%
@@ -251,16 +250,17 @@ plt.show()
 # ### The reason, in one formula
 #
 # Let $R = \overline{\mathcal{R}}_1(R)$ be the limit, $z$ the centre, and let the facet $v$ of $R$ come from a vertex
-# $x^*$ in a cell with $x^+ = M x + c + d$. If $S = z + (R - z)/(1+\epsilon)$ with a small $\epsilon$, the image of the
-# shrunk vertex gives
+# $x^*$ in a cell with $x^+ = M x + c + d$. Shrink: $S = z + (R - z)/(1+\epsilon)$ with a small $\epsilon$. If the same
+# cell holds the shrunk vertex, its image gives
 #
 # $$ h_{\mathcal{R}_1(S)}(v) - h_S(v) \;\ge\; \tfrac{\epsilon}{1+\epsilon}
 #    \Big[\, v\,(M z + c - z) + h_{\mathcal{D}}(v) \Big] , $$
 #
 # with equality if no other vertex overtakes it. The rule needs every bracket to be non-negative: **the affine pieces
 # that make the facets, continued to the centre $z$, must not carry $z$ inwards by more than the disturbance gives
-# back.** For the fixed point of a piece $M z + c = z$, and $h_{\mathcal{D}}(v) > 0$ remains. The origin is no fixed
-# point here: least squares leaves $f_{\text{PWA}}(0, 0) = p \ne 0$ in the middle region. Measure the bracket:
+# back.** At the fixed point of a piece $M z + c = z$, and of its bracket $h_{\mathcal{D}}(v) > 0$ remains. The origin
+# is no fixed point here: least squares leaves $f_{\text{PWA}}(0, 0) = p \ne 0$ in the middle region. Measure the
+# bracket:
 
 
 # %%
@@ -490,7 +490,7 @@ plt.show()
 # %% [markdown]
 # Case 1. A network that has a safe set has it after one iteration as a rule, as in the paper, and three of the four
 # sides of $\mathcal{F}_{\max}$ hardly depend on the network (notebook 06). The fourth does: the paper's 8.91 lies
-# well within the spread. So does $\bar k = 51$, in a wide field.
+# well within the spread. So does $\bar k = 51$, between two groups of networks, with fewer and with more steps.
 
 # %%
 name, paper = "double_integrator", PAPER["double_integrator"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from loops import affine_loop, assert_replays, brute_support, jump_loop, largest, random_loop, random_successors
 
+import mireach as mr
 from mireach import ClosedLoop, NonlinearSystem, Polytope, PWASystem, box_directions, directions
 from mireach.invariance import (
     _growth,
@@ -353,12 +354,12 @@ def test_ultimate_bound_needs_a_plant_that_may_be_in_all_of_the_safe_set():
         (lambda loop, F: safe_set(loop, [[np.inf, 0]]), ["C must be finite"]),
         (lambda loop, F: safe_set(loop, engine="magic"), ["engine must be one of", "'magic'"]),
         (lambda loop, F: terminal_set(loop, F, epsilon=0), ["epsilon must be positive", "0"]),
-        (lambda loop, F: terminal_set(loop, F, max_steps=0), ["max_steps must be at least 1", "0"]),
+        (lambda loop, F: terminal_set(loop, F, max_steps=0), ["max_steps must be a whole number of at least 1", "0"]),
         (lambda loop, F: terminal_set(loop, F, centre="middle"), ["centre must be", "'middle'"]),
         (lambda loop, F: terminal_set(loop, F, centre=[1.0]), ["centre has 1 entries", "2"]),
         (lambda loop, F: terminal_set(loop, F.scale(0.1)), ["not shown to be RPI"]),
         (lambda loop, F: scaled_minimal_set(loop, epsilon=-1), ["epsilon must be positive", "-1"]),
-        (lambda loop, F: scaled_minimal_set(loop, max_steps=0), ["max_steps must be at least 1"]),
+        (lambda loop, F: scaled_minimal_set(loop, max_steps=0), ["max_steps must be a whole number of at least 1"]),
         (
             lambda loop, F: terminal_set(affine_loop(2 * np.eye(2)), safe_set(affine_loop(2 * np.eye(2)))),
             ["no safe set to start from", "leaves X"],
@@ -370,3 +371,33 @@ def test_bad_arguments_are_named(ask, words):
     with pytest.raises(ValueError) as error:
         ask(contraction(), Polytope.box([-1, -1], [1, 1]))
     assert all(word in str(error.value) for word in words), str(error.value)
+
+
+def test_terminal_set_refuses_the_safe_set_of_another_loop():
+    case = mr.case_study("pwa")
+    safe = mr.safe_set(case.loop, case.directions)
+    stronger = case.loop.with_disturbance(mr.Polytope.box([-3, -3], [3, 3]))
+    with pytest.raises(ValueError, match="not RPI for this loop"):
+        mr.terminal_set(stronger, safe, case.directions)
+
+
+def test_theorem_2_does_not_trust_sets_of_another_loop():
+    case = mr.case_study("double_integrator")
+    weaker = case.loop.with_disturbance(mr.Polytope.box([-0.01, -0.01], [0.01, 0.01]))
+    safe = mr.safe_set(weaker, case.directions)
+    terminal = mr.terminal_set(weaker, safe, case.directions, centre="equilibrium")
+    found = mr.ultimately_bounded(case.plant, case.loop, safe, terminal)
+    assert found.verdict == "unknown"
+    assert not found.conditions["the terminal set is reached from F_max"]
+
+
+def test_contraction_is_nan_about_a_centre_outside():
+    case = mr.case_study("pwa")
+    safe = mr.safe_set(case.loop, case.directions)
+    assert np.isnan(mr.contraction(case.loop, safe.set, [30, 0]))
+
+
+@pytest.mark.parametrize("wrong", [-1, 1.5, "a", None])
+def test_safe_set_names_a_wrong_limit(wrong):
+    with pytest.raises(ValueError, match="max_iterations must be a whole number"):
+        mr.safe_set(mr.case_study("pwa").loop, max_iterations=wrong)

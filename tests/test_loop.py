@@ -119,7 +119,7 @@ def test_with_disturbance_keeps_the_rest():
         (lambda s: affine_loop(np.eye(2)).step([0.0, 0, 0]), ["x has shape (3,)", "2"]),
         (lambda s: affine_loop(np.eye(2)).step([np.nan, 0]), ["outside the state set"]),
         (lambda s: affine_loop(np.eye(2)).simulate([0.0], 3), ["x0 has shape (1,)", "2"]),
-        (lambda s: affine_loop(np.eye(2)).simulate([0.0, 0], 3, np.zeros((2, 2))), ["(2,2)", "(1,3,2)"]),
+        (lambda s: affine_loop(np.eye(2)).simulate([0.0, 0], 3, np.zeros((2, 2))), ["(2, 2)", "(1, 3, 2)"]),
         (lambda s: affine_loop(np.eye(2)).simulate([0.0, 0], 1, [[np.nan, 0]]), ["disturbances must be finite"]),
     ],
 )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from loops import affine_loop, jump_loop, random_images, random_loop
 
+import mireach as mr
 from mireach import Polytope, box_directions, directions
 from mireach.reach import outer_reach, outer_step, support
 
@@ -76,3 +77,32 @@ def test_bad_arguments_are_named(ask, words):
     with pytest.raises(ValueError) as error:
         ask(random_loop(0))
     assert all(word in str(error.value) for word in words), str(error.value)
+
+
+def test_every_engine_refuses_a_network_that_leaves_the_input_set_in_a_corner():
+    box = mr.Polytope.box
+    mode = mr.Mode(0.5 * np.eye(2), [[0.3], [0.3]], [0, 0], box([-9] * 3, [9] * 3))
+    system = mr.PWASystem([mode], box([-2, -2], [2, 2]), box([-1], [1]))
+    loop = mr.ClosedLoop(system, mr.MaxoutNetwork([mr.Layer([[1, 1], [0, 0]], [-3.9, 0], 2)], [[15.0]], [0]))
+    for engine in ("cells", "milp", "cvxpy"):
+        with pytest.raises(ValueError, match="leaves the input set"):
+            mr.support(loop, system.state_set, np.eye(2), engine=engine)
+
+
+def test_wrong_options_and_kinds_are_value_errors():
+    loop, F = mr.case_study("pwa").loop, mr.Polytope.box([-1, -1], [1, 1])
+    for wrong in (
+        lambda: mr.support(loop, F, np.eye(2), engine="cells", time_limit=1),
+        lambda: mr.support(loop, F, np.eye(2), engine=["milp"]),
+        lambda: mr.support(loop, F, np.eye(2), engine="milp", time_limit=-1),
+        lambda: mr.support(loop, F, np.eye(2), engine="milp", gap=np.nan),
+        lambda: mr.support(loop, None, np.eye(2)),
+        lambda: mr.support(loop.system, F, np.eye(2)),
+        lambda: mr.support(loop, F, np.eye(2), np.inf),
+        lambda: mr.outer_reach(loop, F, np.eye(2), -1),
+        lambda: loop.simulate([0, 0], 3, disturbances=0),
+        lambda: loop.simulate([0, 0], -1),
+    ):
+        with pytest.raises(ValueError):
+            wrong()
+    assert mr.support(loop, F, np.eye(2), 2.0).bound.shape == (2,)

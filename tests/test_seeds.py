@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mireach import MaxoutNetwork, MireachError
+from mireach import MaxoutNetwork, MireachError, seeds
 from mireach.case_studies import NAMES, data_file
 from mireach.errors import CorruptFileError
 from mireach.seeds import SeedRow, analyse_seed, choose, load_networks, load_rows, save_rows, study
@@ -67,3 +67,15 @@ def test_study_runs_on_a_dask_cluster_and_gives_what_this_machine_gives():
     for seed in (3, 4):
         np.testing.assert_array_equal(networks[seed](x), own[seed](x))
     assert [row.loss for row in rows] == [row.loss for row in here]
+
+
+def test_a_study_of_no_seeds_writes_nothing(tmp_path):
+    with pytest.raises(ValueError, match="count must be a whole number"):
+        seeds.make_study("pwa", count=0, folder=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_without_columns_is_no_study(tmp_path):
+    (tmp_path / "seeds.csv").write_text("")
+    with pytest.raises(CorruptFileError):
+        seeds.load_rows(tmp_path / "seeds.csv")

@@ -38,7 +38,7 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     try:
         return options.run(options)
-    except (MireachError, ValueError, FileNotFoundError) as error:
+    except (MireachError, ValueError, OSError, ImportError) as error:
         print(f"mireach: {error}", file=sys.stderr)
         return 1
 

@@ -125,7 +125,7 @@ def case_study(name, network=None):
     >>> case_study("pwa").system.state_size
     2
     """
-    _require_name(name)
+    require_name(name)
     if network is None:
         network = MaxoutNetwork.load(data_file(name, "network.json"))
     if name == "pwa":
@@ -167,12 +167,13 @@ def data_file(name, file):
     ValueError
         If there is no such case.
     """
-    _require_name(name)
+    require_name(name)
     packaged = Path(__file__).parent / "data"
     folder = packaged if packaged.is_dir() else Path(__file__).resolve().parents[2] / "data"
     return folder / name / file
 
 
-def _require_name(name):
+def require_name(name):
+    """Raise ValueError if there is no case study of this name."""
     if name not in NAMES:
         raise ValueError(f"there is no case study {name!r}; choose one of {', '.join(NAMES)}")

@@ -24,7 +24,43 @@ def real_array(value, name, ndim):
     return array
 
 
+def whole_number(value, name, least):
+    """`value` as an int of at least `least`; 2.0 is one, True and 1.5 are none.
+
+    Raises
+    ------
+    ValueError
+    """
+    try:
+        whole = not isinstance(value, bool) and not isinstance(value, str) and float(value).is_integer()
+    except (TypeError, ValueError):
+        whole = False
+    if not whole or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}; got {value!r:.80}")
+    return int(value)
+
+
+def positive_number(value, name):
+    """`value` as a positive and finite float.
+
+    Raises
+    ------
+    ValueError
+    """
+    number = float(real_array(value, name, 0))
+    if not number > 0:
+        raise ValueError(f"{name} must be positive; got {value!r}")
+    return number
+
+
+def require_kind(value, kind, name):
+    """Raise ValueError unless `value` is of the class `kind`, or one of several; both are named."""
+    if not isinstance(value, kind):
+        needed = " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
+        raise ValueError(f"{name} must be of the kind {needed}; got {type(value).__name__} {value!r:.60}")
+
+
 def require_columns(array, columns, name, reason):
     """Raise ValueError unless `array` has `columns` as its last size; both sizes are named."""
-    if array.shape[-1] != columns:
+    if not array.ndim or array.shape[-1] != columns:
         raise ValueError(f"{name} has shape {array.shape}, but its last size must be {columns}, {reason}")

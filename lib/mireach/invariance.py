@@ -1,16 +1,19 @@
 """Robustly positively invariant (RPI) sets, the safe set, the terminal set, Theorems 1 and 2 (Secs. III, IV)."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from tqdm.auto import tqdm
 
 from .approximation import prove_error
-from .checks import real_array
+from .checks import positive_number, real_array, require_kind, whole_number
 from .engines.common import Witness
 from .errors import SolverStopped
+from .loop import ClosedLoop
 from .polytope import Polytope, box_directions, directions
 from .reach import RESOLUTION, default_engine, support
+from .system import NonlinearSystem
 
 ATTAINED = 1e-9  # a witness refutes a facet only by more than this, for rounding of the replayed trajectory
 
@@ -166,7 +169,7 @@ def check_rpi(loop, F, engine=None, *, tol=None, **options):
     tol : float or None
         A facet holds if bound <= h + tol, in units of h. None is what the engine resolves
         (`reach.RESOLUTION`): 0 for the cells, whose bounds are rounded up already, and the accuracy of
-        a MILP solver for the others.
+        a MILP solver for the others. "proven" is to within this; the margins show what is used of it.
     **options
         Passed to the engine.
 
@@ -174,9 +177,11 @@ def check_rpi(loop, F, engine=None, *, tol=None, **options):
     -------
     RPICheck
     """
+    require_kind(loop, ClosedLoop, "loop")
+    require_kind(F, Polytope, "F")
     X = loop.system.state_set
     engine = default_engine(loop) if engine is None else engine
-    tol = RESOLUTION.get(engine, 0.0) if tol is None else tol
+    tol = _tolerance(engine, tol)
     if not F.is_subset(X, tol=ATTAINED):
         row = int(np.argmax(F.support(X.H) - X.h))
         return RPICheck(
@@ -191,7 +196,8 @@ def check_rpi(loop, F, engine=None, *, tol=None, **options):
         found, stopped = stop.support, f"; {stop}"
     margin = F.h - found.bound
     if (margin >= -tol).all():
-        return RPICheck("proven", margin, None, "R1(F) lies in F")
+        within = "" if (margin >= 0).all() else f" to within {-margin.min():.1g}, which tol = {tol:g} allows"
+        return RPICheck("proven", margin, None, f"R1(F) lies in F{within}")
     excess = found.value - F.h
     worst = int(np.argmax(excess))
     if excess[worst] > max(tol, ATTAINED):
@@ -230,9 +236,9 @@ def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progres
     F_(k+1) is a subset of F_k, so R_1-bar(F_k) is one of F_k exactly when it is one of X. What remains
     of R_1(F_k) in F_k follows by monotonicity: F_k in F_(k-1) gives R_1(F_k) in R_1-bar(F_(k-1)).
     """
-    X = loop.system.state_set
+    max_iterations = whole_number(max_iterations, "max_iterations", 0)
     engine = default_engine(loop) if engine is None else engine
-    tol = RESOLUTION.get(engine, 0.0) if tol is None else tol
+    tol, X = _tolerance(engine, tol), loop.system.state_set
     V = _with_rows(_template(loop, C), X.H)
     limit = _offsets(X, V)
     h, history = X.support(V), [X]
@@ -249,8 +255,10 @@ def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progres
             witness, attained = image.witness[worst], image.value[worst] > limit[worst] + max(tol, ATTAINED)
             smaller = np.minimum(image.bound, h)
             if (smaller >= h - tol).all():
-                reason = f"F{k + 1} = F{k}, yet {leaves}: {witness}"
-                return SafeSet(None, k, history, "refuted" if attained else "unknown", reason, witness)
+                still = (smaller >= h).all()
+                same = f"F{k + 1} = F{k}" if still else f"F{k + 1} = F{k} to within {tol:g}"
+                verdict = "refuted" if attained and still else "unknown"
+                return SafeSet(None, k, history, verdict, f"{same}, yet {leaves}: {witness}", witness)
             following = Polytope(V, smaller)
             if following.is_empty:
                 reason = f"F{k + 1} is empty: {leaves}: {witness}"
@@ -300,7 +308,8 @@ def terminal_set(
     Raises
     ------
     ValueError
-        If `safe` holds no proven set, epsilon is not positive, or no equilibrium was found.
+        If `safe` holds no proven set or one of another loop, epsilon is not positive, or no equilibrium
+        was found.
     SolverStopped
         If a limit stopped the solver.
 
@@ -311,21 +320,21 @@ def terminal_set(
     c + (1 + epsilon) (limit - c). What S must lie in is taken from attained values, not from bounds.
     """
     F = _proven_set(loop, safe, engine, options)
-    if not epsilon > 0:
-        raise ValueError(f"epsilon must be positive; got {epsilon}")
-    if max_steps < 1:
-        raise ValueError(f"max_steps must be at least 1; got {max_steps}")
+    epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
     engine = default_engine(loop) if engine is None else engine
-    tol = RESOLUTION.get(engine, 0.0) if tol is None else tol
+    tol = _tolerance(engine, tol)
     c = _centre(loop, centre)
     V = _with_rows(_template(loop, C), F.H)
     history, alphas = [F], []
     h = F.support(V)
     with tqdm(total=max_steps, desc="terminal set", disable=not progress) as bar:
         while len(history) <= max_steps:
-            smaller = np.minimum(support(loop, history[-1], V, engine=engine, **options).bound, h)
+            after = support(loop, history[-1], V, engine=engine, **options).bound
+            if not alphas:
+                _require_own(after - h, tol)
+            smaller = np.minimum(after, h)
             R = Polytope(V, smaller)
-            stagnant = (smaller >= h - tol).all()
+            stagnant, still = (smaller >= h - tol).all(), (smaller >= h).all()
             alphas.append(_growth(R, h, c))
             h, history = smaller, [*history, R]
             criterion = _is_near_limit(loop, R, V, epsilon, c, engine, options)
@@ -336,7 +345,9 @@ def terminal_set(
     if criterion:
         reason = f"eq. TerminationFmin holds at k = {k}"
     elif stagnant:
-        reason = f"stagnation: R{k} = R{k - 1}, but eq. TerminationFmin about {c.tolist()} fails, and always will"
+        same = f"R{k} = R{k - 1}" if still else f"R{k} = R{k - 1} to within {tol:g}"
+        reason = f"stagnation: {same}, but eq. TerminationFmin about {c.tolist()} fails"
+        reason += ", and always will" if still else ""
         if isinstance(centre, str) and centre == "origin":
             reason += '; try centre="equilibrium"'
     else:
@@ -378,15 +389,20 @@ def contraction(loop, R, centre="origin", engine=None, *, largest=2.0, accuracy=
     Returns
     -------
     float
-        At least 1; above 1 the set R is stable.
+        Above 1 the set R is stable. 1 says that none above was found, not that R is RPI; nan if the centre
+        is not inside R.
     """
+    require_kind(R, Polytope, "R")
+    largest, accuracy = positive_number(largest, "largest"), positive_number(accuracy, "accuracy")
     c, X = _centre(loop, centre), loop.system.state_set
+    if (R.H @ c >= R.h).any():
+        return np.nan
 
     def holds(alpha):
         grown = R.scale(alpha, c)
         return grown.is_subset(X) and (support(loop, grown, R.H, engine=engine, **options).bound <= R.h).all()
 
-    low, high = 1.0, float(largest)
+    low, high = 1.0, largest
     while high - low > accuracy:
         middle = (low + high) / 2
         low, high = (middle, high) if holds(middle) else (low, middle)
@@ -421,12 +437,9 @@ def scaled_minimal_set(
     ValueError
         As `terminal_set`.
     """
-    if not epsilon > 0:
-        raise ValueError(f"epsilon must be positive; got {epsilon}")
-    if max_steps < 1:
-        raise ValueError(f"max_steps must be at least 1; got {max_steps}")
+    epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
     engine = default_engine(loop) if engine is None else engine
-    resolution = max(RESOLUTION.get(engine, 0.0) if tol is None else tol, ATTAINED)
+    resolution = max(_tolerance(engine, tol), ATTAINED)
     c, V, X = _centre(loop, centre), _template(loop, C), loop.system.state_set
     history, found, reason = [Polytope.box(c, c)], None, f"max_steps = {max_steps} came first"
     h = V @ c
@@ -450,7 +463,7 @@ def scaled_minimal_set(
     return MinimalSet(found, k, history, "unknown" if found is None else "proven", reached_at, reason)
 
 
-def ultimately_bounded(plant, loop, safe, terminal):
+def ultimately_bounded(plant, loop, safe, terminal, engine=None, **options):
     """Theorem 2: the nonlinear loop is ultimately bounded in the terminal set, uniformly in F_max.
 
     Parameters
@@ -460,6 +473,8 @@ def ultimately_bounded(plant, loop, safe, terminal):
         With a piecewise-affine approximation of the plant, whose disturbance sets shall hold the error.
     safe : SafeSet
     terminal : TerminalSet
+    engine, **options
+        As in `support`: every step of the sequence is looked at again, so that sets of another loop prove nothing.
 
     Returns
     -------
@@ -467,6 +482,9 @@ def ultimately_bounded(plant, loop, safe, terminal):
         "proven" if f - f_PWA lies in D^(i) everywhere (by ball arithmetic), F_max is RPI and in X, and
         the terminal set is a C-set reached from it.
     """
+    require_kind(plant, NonlinearSystem, "plant")
+    require_kind(safe, SafeSet, "safe")
+    require_kind(terminal, TerminalSet, "terminal")
     X, U = loop.system.state_set, loop.system.input_set
     within = all(
         (prove_error(plant.f, [mode], X, U, mode.disturbance.H).bound[0] <= mode.disturbance.h).all()
@@ -474,15 +492,34 @@ def ultimately_bounded(plant, loop, safe, terminal):
     )
     conditions = {
         "f - f_PWA lies in D for every mode": bool(within),
-        "F_max is RPI": safe.verdict == "proven",
+        "F_max is RPI": safe.verdict == "proven" and _holds_images(loop, [safe.set, safe.set], engine, options),
         "F_max lies in the plant's X": safe.set is not None and safe.set.is_subset(plant.state_set, ATTAINED),
-        "the terminal set is reached from F_max": safe.set is not None and terminal.history[0] is safe.set,
+        "the terminal set is reached from F_max": safe.set is not None
+        and terminal.history[0] is safe.set
+        and _holds_images(loop, terminal.history, engine, options),
         "the terminal set has the origin inside": bool((terminal.set.h > 0).all()),
     }
     return UltimateBound("proven" if all(conditions.values()) else "unknown", conditions)
 
 
 # -- parts --------------------------------------------------------------------------------------------
+
+
+def _tolerance(engine, tol):
+    """The tolerance of a comparison: what the engine resolves, or `tol`."""
+    return RESOLUTION.get(engine, 0.0) if tol is None else float(real_array(tol, "tol", 0))
+
+
+def _require_own(excess, tol):
+    """Raise ValueError if R_1(F_max) leaves F_max by more than any engine's inaccuracy: F_max of another loop."""
+    if excess.max() > max(tol, *RESOLUTION.values()):
+        raise ValueError(f"the set to start from is not RPI for this loop: a step leaves it by {excess.max():.3g}")
+
+
+def _holds_images(loop, sets, engine, options):
+    """Whether R_1 of each set lies in the next, to within what engines differ by."""
+    tol = max(RESOLUTION.values())
+    return all((support(loop, F, G.H, engine=engine, **options).bound <= G.h + tol).all() for F, G in pairwise(sets))
 
 
 def _standing(loop, x):
@@ -495,6 +532,7 @@ def _standing(loop, x):
 
 def _template(loop, C):
     """C as an array (l, n), or the default template."""
+    require_kind(loop, ClosedLoop, "loop")
     n = loop.system.state_size
     if C is None:
         return directions(8) if n == 2 else box_directions(n)
@@ -526,6 +564,7 @@ def _proven_set(loop, safe, engine, options):
         if safe.verdict != "proven":
             raise ValueError(f"there is no safe set to start from: {safe.reason}")
         return safe.set
+    require_kind(safe, (SafeSet, Polytope), "safe")
     if safe.is_empty:
         raise ValueError("the set to start from is empty")
     check = check_rpi(loop, safe, engine, **options)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .checks import real_array, require_columns
+from .checks import real_array, require_columns, require_kind, whole_number
 from .network import MaxoutNetwork
 from .system import PWASystem
 
@@ -32,6 +32,7 @@ class ClosedLoop:
     network: MaxoutNetwork
 
     def __post_init__(self):
+        require_kind(self.system, PWASystem, "system")
         if not isinstance(self.network, MaxoutNetwork):
             object.__setattr__(self, "network", MaxoutNetwork.from_torch(self.network))
         net, system = self.network, self.system
@@ -88,14 +89,18 @@ class ClosedLoop:
         array (steps + 1, n) or (N, steps + 1, n)
             NaN from the first step after a state left X.
         """
-        x0 = np.asarray(x0, float)
+        x0, steps = np.asarray(x0, float), whole_number(steps, "steps", 0)
         require_columns(x0, self.system.state_size, "x0", "the state's size")
         states = np.atleast_2d(x0)
         if disturbances is not None and not isinstance(disturbances, np.random.Generator):
-            disturbances = np.broadcast_to(
-                real_array(disturbances, "disturbances", np.ndim(disturbances)),
-                (*states.shape[:1], steps, states.shape[1]),
-            )
+            disturbances = real_array(disturbances, "disturbances", np.ndim(disturbances))
+            each, every = (steps, states.shape[1]), (*states.shape[:1], steps, states.shape[1])
+            if disturbances.shape not in (each, every):
+                raise ValueError(
+                    f"disturbances has shape {disturbances.shape}, but must be {each} or {every}, "
+                    "or a numpy.random.Generator"
+                )
+            disturbances = np.broadcast_to(disturbances, every)
         trajectory = np.full((len(states), steps + 1, states.shape[1]), np.nan)
         trajectory[:, 0] = states
         for k in range(steps):
@@ -137,7 +142,8 @@ class ClosedLoop:
         Newton's method on the affine pieces: solve (I - A - B K) x = B g + p on the piece of the current
         point, until the solution lies on that piece, which one step of the loop confirms.
         """
-        start = self.system.state_set.chebyshev()[0] if start is None else np.asarray(start, float)
+        start = self.system.state_set.chebyshev()[0] if start is None else real_array(start, "start", 1)
+        require_columns(start, self.system.state_size, "start", "the state's size")
         path = self.simulate(start, steps)
         path = path[np.isfinite(path).all(axis=1)][-50:]
         starts = [path[-1], path.mean(axis=0), *self.system.state_set.sample(np.random.default_rng(0), tries)]

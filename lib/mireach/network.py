@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .checks import real_array, require_columns
+from .checks import real_array, require_columns, require_kind, whole_number
 from .errors import CorruptFileError
 from .files import read_json, write_json
 
@@ -33,9 +33,7 @@ class Layer:
         object.__setattr__(self, "bias", real_array(self.bias, "bias", 1))
         if len(self.weight) != len(self.bias):
             raise ValueError(f"weight has {len(self.weight)} rows but bias has {len(self.bias)} entries")
-        if isinstance(self.pool, bool) or not float(self.pool).is_integer() or self.pool < 1:
-            raise ValueError(f"pool must be a whole number of at least 1; got {self.pool!r}")
-        object.__setattr__(self, "pool", int(self.pool))
+        object.__setattr__(self, "pool", whole_number(self.pool, "pool", 1))
         if not len(self.bias) or len(self.bias) % self.pool:
             raise ValueError(f"weight has {len(self.bias)} rows, which do not divide into groups of pool = {self.pool}")
 
@@ -73,6 +71,9 @@ class MaxoutNetwork:
     bias: np.ndarray
 
     def __post_init__(self):
+        require_kind(self.hidden, (list, tuple), "hidden")
+        for number, layer in enumerate(self.hidden, start=1):
+            require_kind(layer, Layer, f"hidden layer {number}")
         object.__setattr__(self, "hidden", tuple(self.hidden))
         object.__setattr__(self, "weight", real_array(self.weight, "output weight", 2))
         object.__setattr__(self, "bias", real_array(self.bias, "output bias", 1))

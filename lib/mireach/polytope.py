@@ -8,7 +8,7 @@ from math import comb
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from .checks import real_array, require_columns
+from .checks import positive_number, real_array, require_columns, require_kind, whole_number
 from .lp import LinearProgram
 
 TOUCH = 1e-11  # vertices count as one point, and as inside, within this distance (relative to 1 + the size of the set)
@@ -117,7 +117,9 @@ class Polytope:
 
     @staticmethod
     def from_dict(value):
-        """Inverse of `to_dict`."""
+        """Inverse of `to_dict`; ValueError if a key is missing."""
+        if not isinstance(value, dict) or not {"H", "h"} <= value.keys():
+            raise ValueError(f"a polytope needs the keys H and h; got {value!r:.80}")
         return Polytope(value["H"], value["h"])
 
     def to_dict(self):
@@ -163,8 +165,10 @@ class Polytope:
 
     def farthest(self, v):
         """A point (n,) of P that attains h_P(v), or None if P is empty or unbounded along v."""
+        v = real_array(v, "v", 1)
+        require_columns(v, self.dimension, "v", "the dimension of the polytope")
         lp, x = self._program
-        return lp.maximize(x, np.asarray(v, float)).point
+        return lp.maximize(x, v).point
 
     @cached_property
     def _program(self):
@@ -220,6 +224,7 @@ class Polytope:
             In units of Q.h. Rows that P shares with Q are compared as numbers, so that P lies in P
             without any tolerance.
         """
+        require_kind(Q, Polytope, "Q")
         if Q.dimension != self.dimension:
             raise ValueError(f"P lies in R^{self.dimension} but Q in R^{Q.dimension}; inclusion needs one space")
         own = {row.tobytes(): offset for row, offset in zip(self.H + 0.0, self.h)}
@@ -283,7 +288,7 @@ class Polytope:
         return (None, np.inf) if best.point is None else (best.point[:-1], best.value)
 
     def bounding_box(self):
-        """Smallest box around P as (lower (n,), upper (n,)); inf where P is unbounded."""
+        """Smallest box around P as (lower (n,), upper (n,)): inf where P is unbounded, lower > upper if P is empty."""
         identity = np.eye(self.dimension)
         return -self.support(-identity), self.support(identity)
 
@@ -291,6 +296,7 @@ class Polytope:
 
     def __and__(self, other):
         """Intersection; a row that both have is kept once, with the smaller offset."""
+        require_kind(other, Polytope, "what P is intersected with")
         if other.dimension != self.dimension:
             raise ValueError(f"cannot intersect sets in R^{self.dimension} and R^{other.dimension}")
         rows = {}
@@ -306,16 +312,17 @@ class Polytope:
         ----------
         s : float
             Positive.
-        centre : array (n,) or 0
+        centre : array (n,) or number
             The point c that stays where it is.
         """
-        if not s > 0:
-            raise ValueError(f"s must be positive; got {s}")
-        centre = np.broadcast_to(np.asarray(centre, float), self.dimension)
-        return Polytope(self.H, s * self.h + (1 - s) * (self.H @ centre))
+        s, centre = positive_number(s, "s"), real_array(centre, "centre", np.ndim(centre))
+        if centre.shape not in ((), (self.dimension,)):
+            raise ValueError(f"centre has shape {centre.shape}, but the polytope lies in R^{self.dimension}")
+        return Polytope(self.H, s * self.h + (1 - s) * (self.H @ np.broadcast_to(centre, self.dimension)))
 
     def product(self, other):
         """Cartesian product {(x, y) : x in P, y in other}."""
+        require_kind(other, Polytope, "the other factor")
         H = np.zeros((len(self.h) + len(other.h), self.dimension + other.dimension))
         H[: len(self.h), : self.dimension] = self.H
         H[len(self.h) :, self.dimension :] = other.H
@@ -335,6 +342,8 @@ class Polytope:
             Uniform where the set fills at least a tenth of its bounding box; otherwise random convex
             combinations of its vertices, which favour the middle.
         """
+        require_kind(rng, np.random.Generator, "rng")
+        size = whole_number(size, "size", 0)
         if self.is_empty:
             raise ValueError("the polytope is empty; nothing can be drawn from it")
         if not self.is_bounded:
@@ -361,15 +370,15 @@ def directions(count):
     array (count, 2)
         Unit rows, counter-clockwise from (1, 0); exact zeros and ones where they belong.
     """
-    if count != int(count) or count < 3:
-        raise ValueError(f"count must be a whole number of at least 3, so that sets are bounded; got {count}")
-    angles = 2 * np.pi * np.arange(int(count)) / count
+    count = whole_number(count, "count", 3)
+    angles = 2 * np.pi * np.arange(count) / count
     C = np.column_stack([np.cos(angles), np.sin(angles)])
     return np.where(np.abs(C) < 1e-15, 0.0, C)
 
 
 def box_directions(n):
     """The template (I, -I) whose sets are boxes: array (2 n, n)."""
+    n = whole_number(n, "n", 1)
     return np.vstack([np.eye(n), -np.eye(n)]) + 0.0
 
 

@@ -1,11 +1,13 @@
 """Reachable sets: support functions by any engine, outer steps and outer sequences."""
 
+import inspect
 import warnings
 from importlib import import_module
 
 import numpy as np
 
-from .checks import real_array, require_columns
+from .checks import real_array, require_columns, require_kind, whole_number
+from .loop import ClosedLoop
 from .polytope import Polytope
 
 ENGINES = {"cells": "cells", "milp": "milp", "cvxpy": "model"}  # name -> module in `engines` with its `support`
@@ -18,6 +20,7 @@ RESOLUTION = {
 
 def default_engine(loop):
     """The cells where they apply (two states), else the MILP."""
+    require_kind(loop, ClosedLoop, "loop")
     return "cells" if loop.system.state_size == 2 else "milp"
 
 
@@ -47,14 +50,19 @@ def support(loop, F, V, steps=1, engine=None, **options):
     Raises
     ------
     ValueError
-        If sizes do not match, the engine has another name, or Phi leaves U.
+        If sizes do not match, the engine has another name or no such option, or Phi leaves U.
     SolverStopped
         If a limit stopped the solver.
     """
     engine = default_engine(loop) if engine is None else engine
-    if engine not in ENGINES:
+    if not isinstance(engine, str) or engine not in ENGINES:
         raise ValueError(f"engine must be one of {', '.join(ENGINES)}; got {engine!r}")
     answer = import_module(f"{__package__}.engines.{ENGINES[engine]}").support
+    known = inspect.signature(answer).parameters
+    unknown = [name for name in options if name not in known]
+    if unknown and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values()):
+        own = ", ".join(list(known)[4:]) or "none"
+        raise ValueError(f"the engine {engine!r} has no option {', '.join(unknown)}; its options: {own}")
     return answer(loop, F, V, steps, **options)
 
 
@@ -106,8 +114,9 @@ def outer_reach(loop, F, C, steps, engine=None, **options):
     UserWarning
         If a set leaves X; what follows then only describes trajectories that stay in X.
     """
+    require_kind(F, Polytope, "F")
     sets = [F]
-    for k in range(steps):
+    for k in range(whole_number(steps, "steps", 0)):
         if not sets[-1].is_subset(loop.system.state_set, tol=1e-9):
             warnings.warn(f"R{k} leaves the state set; later sets describe only what stays in it", stacklevel=2)
         sets.append(outer_step(loop, sets[-1], C, engine, **options))

@@ -10,7 +10,8 @@ from time import perf_counter
 import numpy as np
 from tqdm.auto import tqdm
 
-from .case_studies import INPUT_LIMITS, PAPER, SHAPES, case_study, data_file
+from .case_studies import INPUT_LIMITS, PAPER, SHAPES, case_study, data_file, require_name
+from .checks import whole_number
 from .datasets import DataSet, make_double_integrator_data, make_pwa_data
 from .engines.cells import cells
 from .errors import CorruptFileError, MireachError
@@ -175,6 +176,7 @@ def choose(name, rows):
     distance is the sum of the relative differences of the figures that the paper prints: iterations of
     F_max, k-bar, and for `pwa` the right end of F_max, the side of it that differs between the networks.
     """
+    require_name(name)
     paper = PAPER[name]
     sound = [row for row in rows if row.verdict == "proven" and row.criterion and row.alpha > 1 + CLEAR]
     if not sound:
@@ -212,11 +214,14 @@ def load_rows(path):
         field.name: {"True": True, "False": False}.__getitem__ if field.type is bool else field.type
         for field in fields(SeedRow)
     }
-    with open(path, encoding="utf-8", newline="") as file:
-        try:
-            return [SeedRow(**{key: kinds[key](value) for key, value in row.items()}) for row in csv.DictReader(file)]
-        except (KeyError, TypeError, ValueError) as error:
-            raise CorruptFileError(f"{path} holds no seed study: {error!r}; make it again") from error
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        reader = csv.DictReader(io.StringIO(text))
+        if reader.fieldnames != list(kinds) or not text.endswith("\n"):
+            raise ValueError("its first line does not name the columns of SeedRow, or it is truncated")
+        return [SeedRow(**{key: kinds[key](value) for key, value in row.items()}) for row in reader]
+    except (KeyError, TypeError, ValueError) as error:
+        raise CorruptFileError(f"{path} holds no seed study: {error!r}; make it again") from error
 
 
 def save_networks(path, networks):
@@ -226,9 +231,19 @@ def save_networks(path, networks):
 
 
 def load_networks(name):
-    """All networks of the shipped seed study of a case: dict of seed to MaxoutNetwork."""
-    lines = data_file(name, "seed_networks.jsonl").read_text(encoding="utf-8").splitlines()
-    return {entry["seed"]: MaxoutNetwork.from_dict(entry["network"]) for entry in map(json.loads, lines)}
+    """All networks of the shipped seed study of a case: dict of seed to MaxoutNetwork.
+
+    Raises
+    ------
+    CorruptFileError
+        If the file is truncated or holds anything else.
+    """
+    path = data_file(name, "seed_networks.jsonl")
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        return {entry["seed"]: MaxoutNetwork.from_dict(entry["network"]) for entry in map(json.loads, lines)}
+    except (KeyError, TypeError, ValueError) as error:
+        raise CorruptFileError(f"{path} holds no networks of a seed study: {error!r}; restore it") from error
 
 
 def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=True):
@@ -249,6 +264,9 @@ def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=Tr
     str
         What was chosen, for people.
     """
+    count = whole_number(count, "count", 1)
+    if scheduler is None and not jobs:
+        raise ValueError("jobs must not be 0; -1 is one process a core")
     rows, networks = study(name, range(count), jobs=jobs, scheduler=scheduler, progress=progress)
     folder = Path(folder or data_file(name, ""))
     save_rows(folder / "seeds.csv", rows)

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from .checks import real_array, require_columns
+from .checks import real_array, require_columns, require_kind
 from .polytope import Polytope
 
 GAP = 1e-7  # radius of the smallest ball that counts as a gap or an overlap of regions (units of x and u)
@@ -50,6 +50,8 @@ class Mode:
             raise ValueError(f"B has {len(self.B)} rows but A has {n}; both give the next state")
         if self.disturbance is None:
             object.__setattr__(self, "disturbance", Polytope.box(np.zeros(n), np.zeros(n)))
+        require_kind(self.region, Polytope, "region")
+        require_kind(self.disturbance, Polytope, "disturbance")
         if self.region.dimension != n + self.B.shape[1]:
             raise ValueError(
                 f"region lies in R^{self.region.dimension}, but (x, u) has {n} + {self.B.shape[1]} entries; "
@@ -98,6 +100,9 @@ class PWASystem:
     input_set: Polytope
 
     def __post_init__(self):
+        require_kind(self.modes, (list, tuple), "modes")
+        for number, mode in enumerate(self.modes, start=1):
+            require_kind(mode, Mode, f"mode {number}")
         object.__setattr__(self, "modes", tuple(self.modes))
         if not self.modes:
             raise ValueError("modes is empty; a system needs at least one mode")
@@ -106,6 +111,7 @@ class PWASystem:
             if mode.B.shape != (n, m):
                 raise ValueError(f"mode {number} has B of shape {mode.B.shape}, but mode 1 has {(n, m)}")
         for name, value, size in (("state_set", self.state_set, n), ("input_set", self.input_set, m)):
+            require_kind(value, Polytope, name)
             if value.dimension != size:
                 raise ValueError(f"{name} lies in R^{value.dimension}, but the modes need R^{size}")
             if value.is_empty:
@@ -132,6 +138,7 @@ class PWASystem:
         disturbance : Polytope or sequence of Polytope
             One for all modes, or one a mode.
         """
+        require_kind(disturbance, (Polytope, list, tuple), "disturbance")
         sets = [disturbance] * len(self.modes) if isinstance(disturbance, Polytope) else list(disturbance)
         if len(sets) != len(self.modes):
             raise ValueError(f"got {len(sets)} disturbance sets for {len(self.modes)} modes; give one, or one a mode")
@@ -172,6 +179,11 @@ class NonlinearSystem:
     f: Callable
     state_set: Polytope
     input_set: Polytope
+
+    def __post_init__(self):
+        require_kind(self.f, Callable, "f")
+        require_kind(self.state_set, Polytope, "state_set")
+        require_kind(self.input_set, Polytope, "input_set")
 
     def __call__(self, x, u):
         """f at (n,) and (m,), or at (N, n) and (N, m)."""

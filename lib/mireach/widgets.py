@@ -5,6 +5,8 @@ import io
 import ipywidgets
 from matplotlib.figure import Figure
 
+SCREEN_DPI = 90  # pixels of the page an inch; pictures have twice as many, for sharp screens
+
 
 def step_viewer(draw, count, label="k", size=(5.0, 5.0)):
     """A slider with a play button that shows one picture a step.
@@ -31,16 +33,17 @@ def step_viewer(draw, count, label="k", size=(5.0, 5.0)):
 
     def picture(k):
         if k not in pictures:
-            figure = Figure(figsize=size, dpi=90, layout="constrained")
+            figure = Figure(figsize=size, dpi=2 * SCREEN_DPI, layout="constrained")
             draw(figure.add_subplot(), k)
             file = io.BytesIO()
             figure.savefig(file, format="png")
             pictures[k] = file.getvalue()
         return pictures[k]
 
-    image = ipywidgets.Image(value=picture(0), format="png")
-    slider = ipywidgets.IntSlider(value=0, min=0, max=count - 1, description=label)
+    width = f"{size[0] * SCREEN_DPI:.0f}px"
+    image = ipywidgets.Image(value=picture(0), format="png", layout={"width": width})
+    slider = ipywidgets.IntSlider(value=0, min=0, max=count - 1, description=label, layout={"flex": "1"})
     play = ipywidgets.Play(value=0, min=0, max=count - 1, interval=400, description="play")
     ipywidgets.jslink((play, "value"), (slider, "value"))
     slider.observe(lambda change: setattr(image, "value", picture(change["new"])), names="value")
-    return ipywidgets.VBox([ipywidgets.HBox([play, slider]), image])
+    return ipywidgets.VBox([ipywidgets.HBox([play, slider], layout={"width": width}), image])

@@ -107,6 +107,11 @@ def test_loose_big_M_is_no_mistake():
     ex03.check_t2(model(region_M=lambda H, h, XU: np.full(len(h), 50.0)))
 
 
+def test_a_round_number_for_every_big_M_is_caught():
+    hundred = model(lambda H, h, XU: np.full(len(h), 100.0), lambda AB, p, XU: np.full(len(p), 100.0))
+    expect(ex03.check_t2, hundred, "no solution", "too small for the next state")
+
+
 def test_model_that_ignores_the_regions_is_caught():
     everywhere = with_regions(lambda i, P: mr.Polytope(0 * P.H, np.ones(len(P.h))))
     expect(ex03.check_t2, everywhere, "a mode acts outside its region")

@@ -92,7 +92,11 @@ def test_a_longer_row_is_the_same_half_plane():
 
 
 def test_the_whole_jump_is_too_much():
-    expect("t3", 2.0, words=["smallest_error = 2", "off by 1"])
+    expect("t3", 2.0, words=["smallest_error = 2", "more than necessary"])
+
+
+def test_no_continuous_controller_follows_the_jump():
+    expect("t3", 0.0, words=["smallest_error = 0", "too small", "both sides"])
 
 
 def test_projection_must_be_complete():

@@ -119,6 +119,11 @@ def test_offsets_that_are_not_attained_give_too_small_an_alpha():
         ex06.check_t5(by_offsets)
 
 
+def test_the_rows_of_the_smaller_set_do_not_suffice():
+    with pytest.raises(Wrong, match="leaves `before`"):
+        ex06.check_t5(lambda before, after: (before.support(after.H) / after.support(after.H)).min())
+
+
 def test_futures_must_respect_the_disturbance_bound(solved):
     with pytest.raises(Wrong, match=r"beyond 0\.15"):
         ex06.check_t6(solved["x0"], 2 * solved["first"], solved["second"])

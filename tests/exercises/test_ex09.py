@@ -90,6 +90,15 @@ def test_disturbed_steps_are_no_witness_for_the_plant(solved):
     expect(ex09.check_t3, of_the_loop, "which is in G")
 
 
+def test_steps_of_the_pwa_model_are_no_steps_of_the_plant(solved):
+    def of_the_model(G):
+        states = np.vstack([G.vertices(), G.sample(np.random.default_rng(0), 2000)])
+        beyond = (solved["loop"].step(states) @ G.H.T - G.h).max(axis=1)
+        return states[beyond.argmax()] if beyond.max() > 1e-9 else None
+
+    expect(ex09.check_t3, of_the_model, "equilibrium of the PWA loop", "you return None")
+
+
 def test_rules_that_scale_wrongly_are_caught():
     def rule(factor, about=lambda c: c, turned=False):
         def holds(loop, R, C, epsilon, centre):

@@ -136,7 +136,7 @@ def support(loop, F, V, steps=1):
     ValueError
         If the loop has not two states, or the reachable set falls into too many pieces.
     """
-    V = checked_query(loop, F, V, steps)
+    V, steps = checked_query(loop, F, V, steps)
     every = _loop_cells(loop)
     spread = _disturbance_supports(loop, V)
     value, ends = np.full(len(V), -np.inf), [None] * len(V)

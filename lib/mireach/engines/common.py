@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checks import real_array, require_columns
+from ..checks import real_array, require_columns, require_kind, whole_number
+from ..loop import ClosedLoop
+from ..polytope import Polytope
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,18 +71,18 @@ def replay(loop, x0, modes, disturbances):
 
 
 def checked_query(loop, F, V, steps):
-    """V as an array (k, n), after all arguments of a query have been looked at.
+    """V as an array (k, n) and steps as an int, after all arguments of a query have been looked at.
 
     Raises
     ------
     ValueError
         If F or V do not fit the state, or steps is not a positive whole number.
     """
+    require_kind(loop, ClosedLoop, "loop")
+    require_kind(F, Polytope, "F")
     n = loop.system.state_size
     V = real_array(V, "V", 2)
     require_columns(V, n, "V", "the state's size")
     if F.dimension != n:
         raise ValueError(f"F lies in R^{F.dimension}, but the state has {n} entries")
-    if isinstance(steps, bool) or steps != int(steps) or steps < 1:
-        raise ValueError(f"steps must be a whole number of at least 1; got {steps!r}")
-    return V
+    return V, whole_number(steps, "steps", 1)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import highspy
 import numpy as np
 
+from ..checks import positive_number, real_array
 from ..errors import SolverError, SolverStopped
 from ..loop import require_inputs
 from ..lp import TOLERANCE, LinearProgram
@@ -83,7 +84,11 @@ def support(loop, F, V, steps=1, *, bounds="lp", time_limit=None, gap=1e-9):
     ValueError
         If Phi leaves U at some state of F & X.
     """
-    V = checked_query(loop, F, V, steps)
+    V, steps = checked_query(loop, F, V, steps)
+    gap = float(real_array(gap, "gap", 0))
+    if gap < 0:
+        raise ValueError(f"gap must not be negative; got {gap}")
+    time_limit = None if time_limit is None else positive_number(time_limit, "time_limit")
     model = build(loop, F, steps, bounds)
     if model is None:
         return empty_support(len(V))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import SolverStopped
 from .common import Support, checked_query, empty_support, replay
+from .milp import build
 
 TOLERANCE = 1e-7  # added to what the solver calls optimal, in units of v x
 ZERO_GAP = {
@@ -60,17 +61,18 @@ def support(loop, F, V, steps=1, *, solver="HIGHS", time_limit=None, tolerance=T
     Raises
     ------
     ValueError
-        If an argument does not fit, or cvxpy does not know the solver.
+        If an argument does not fit, cvxpy does not know the solver, or Phi leaves U somewhere in X.
     SolverStopped
         If the solver ends without an optimum.
     ImportError
         If cvxpy is missing.
     """
-    V = checked_query(loop, F, V, steps)
+    V, steps = checked_query(loop, F, V, steps)
     start = F & loop.system.state_set
     if start.is_empty:
         return empty_support(len(V))
     options = _options(solver, time_limit, solver_options)
+    _require_inputs(loop)
     problem, v, x, gamma, d = model(loop, F, steps)
     answers = []
     for row in V:
@@ -149,6 +151,16 @@ def model(loop, F, steps):
 
     v = cp.Parameter(n, name="v")
     return cp.Problem(cp.Maximize(v @ x[steps]), constraints), v, x, gamma, d  # eq. MILPReachableSets
+
+
+def _require_inputs(loop):
+    """Raise ValueError if Phi leaves U somewhere in X: by intervals, or the engine milp."""
+    net, U = loop.network, loop.system.input_set
+    y = loop.system.state_set.bounding_box()
+    for layer in net.hidden:
+        y = maxout_range(layer, *affine_range(layer.weight, layer.bias, *y))
+    if excess(U.H, U.h, *affine_range(net.weight, net.bias, *y)).max() > 1e-9:
+        build(loop, loop.system.state_set, 1)
 
 
 # -- big-M by interval arithmetic -----------------------------------------------------------------

@@ -31,7 +31,7 @@ def claim():
 def friction(x, u):
     """The next velocity of the mass of task 5: v = x + 0.5 u loses 0.1 by friction, or comes to rest."""
     v = x + FRICTION["gain"] * u
-    return np.sign(v) * np.maximum(np.abs(v) - FRICTION["loss"], 0.0)
+    return np.sign(v) * np.maximum(np.abs(v) - FRICTION["loss"], 0.0) + 0.0  # no -0
 
 
 def check_t1(counts):
@@ -82,7 +82,7 @@ def check_t2(step_model):
     import cvxpy as cp
 
     rng = np.random.default_rng()
-    for n, shift in ((1, 0.0), (2, 0.0), (2, 4.0)):
+    for n, shift in ((1, 0.0), (2, 0.0), (2, 4.0), (2, 400.0)):  # the last: beyond any round number
         system, normal, level = _random_system(rng, n, shift)
         XU = system.state_set.product(system.input_set)
         xi, at, v = cp.Variable(n + 1), cp.Parameter(n + 1), cp.Parameter(n)
@@ -233,7 +233,7 @@ def _compare(problem, v, point, found):
     require(
         highest is not None,
         f"{case} your model has no solution: a row that belongs to another mode (gamma_i = 0) is not silent there. "
-        "How large can its left side become over X x U?",
+        "How large can its left side become over X x U? (Or the limit M of x~ is too small for the next state.)",
     )
     require(highest < np.inf, f"{case} x+ is unbounded in your model: something does not tie x~ to its mode")
     reached = max(found, key=lambda i: v.value @ found[i])

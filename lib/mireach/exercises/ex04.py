@@ -271,4 +271,4 @@ def _area(P):
 
 def _text(values):
     """(1.5, -2) for a message."""
-    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+    return "(" + ", ".join(f"{value + 0.0:.4g}" for value in values) + ")"

@@ -8,7 +8,7 @@ from ..loop import ClosedLoop
 from ..mpc import solve_miqp
 from ..network import Layer, MaxoutNetwork
 from ..plants import pwa_plant
-from .common import require, require_array, require_close, require_filled
+from .common import require, require_array, require_filled
 
 TOL = 1e-6  # for numbers that differ by rounding, relative to 1 + their size
 STRIP = 1e-3  # states this near to the border of task 2 are not asked
@@ -98,11 +98,23 @@ def check_t3(smallest_error):
     Raises
     ------
     Wrong
-        With the difference to what the two sides of the jump leave.
+        Saying whether the number is too small or too large, and why.
     """
     system = pwa_plant()
     left, right = (solve_miqp(system, np.array([x1, 5.0])).inputs[0, 0] for x1 in (-1e-7, 1e-7))
-    require_close(smallest_error, abs(right - left) / 2, "smallest_error")
+    best = abs(right - left) / 2
+    number = float(require_array(smallest_error, (), "smallest_error"))
+    sides = "u* has one value just left of x1 = 0 and another just right of it; a continuous controller has to give"
+    require(
+        number >= best - 1e-6,
+        f"smallest_error = {number:g} is too small: {sides} nearly the same value on both sides, and is then off by "
+        "more than that on one of them",
+    )
+    require(
+        number <= best + 1e-6,
+        f"smallest_error = {number:g} is more than necessary: {sides} one value at x1 = 0 itself, but it may choose "
+        "which; take the one that makes the larger of the two errors smallest",
+    )
     print("ok: no training can get below that")
 
 
@@ -259,4 +271,4 @@ def _random_network(rng, outputs):
 
 def _text(values):
     """(1.5, -2) for a message."""
-    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+    return "(" + ", ".join(f"{value + 0.0:.4g}" for value in values) + ")"

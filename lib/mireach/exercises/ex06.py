@@ -143,11 +143,12 @@ def check_t5(growth):
         If alpha * after leaves `before`, or a larger alpha would do.
     """
     rng = np.random.default_rng()
-    for _ in range(6):
+    for trial in range(6):
         after = Polytope.from_points(rng.uniform(0.4, 1, 7)[:, None] * directions(7))
         H = directions(int(rng.integers(4, 9)))
         loose = Polytope(after.H, after.h * rng.choice([1.0, 1.5], len(after.h)))
-        after = Polytope(np.vstack([after.H, H]), np.concatenate([after.h, loose.support(H) + 0.3]))  # idle rows
+        idle = H if trial % 2 == 0 else rng.normal(size=(3, 2))  # rows of `before`, or of neither
+        after = Polytope(np.vstack([after.H, idle]), np.concatenate([after.h, loose.support(idle) + 0.3]))
         before = Polytope(H, after.support(H) * rng.uniform(0.9, 1.4, len(H)))
         alpha = float(require_array(growth(before, after), (), "growth(before, after)"))
         require(alpha > 0, f"growth returns {alpha:g}, but alpha must be positive")

@@ -116,10 +116,13 @@ def check_t3(leaving_state):
             raise Wrong(f"G = {name} is RPI, yet you found x = {x.tolist()}: you have refuted a proof, tell us!")
     lower, upper = safe.set.bounding_box()
     side = rng.uniform(0.8, 1.2)
+    quiet = _with_bound(case.loop, 0.002)  # its sets are invariant for f_PWA without d, and not for f
+    small = terminal_set(quiet, safe_set(quiet, case.safe_directions), case.directions, centre="equilibrium").set
     for name, G in {
         "the bounding box of F_max": Polytope.box(lower, upper),
         f"|x|_inf <= {side:.2f}": Polytope.box([-side, -side], [side, side]),
         "X": case.system.state_set,
+        "a small set about the equilibrium of the PWA loop": small,
     }.items():
         x = _state_of(leaving_state, G)
         if x is None:
