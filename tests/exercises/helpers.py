@@ -6,6 +6,9 @@ from pathlib import Path
 import matplotlib
 import matplotlib.pyplot as plt
 import nbformat
+import pytest
+
+from mireach.exercises import Wrong
 
 matplotlib.use("Agg")
 
@@ -60,6 +63,25 @@ def placeholder(number):
 def without_solution(source):
     """A cell's code without what stands between BEGIN SOLUTION and END SOLUTION."""
     return SOLUTION.sub("", source)
+
+
+def check_cells(number):
+    """The check cells of a set: dict of grade_id to code."""
+    cells = read_source(number).cells
+    return {nbgrader_data(cell)["grade_id"]: cell.source for cell in cells if nbgrader_data(cell).get("grade")}
+
+
+def expect(check, answer, *words):
+    """The check raises Wrong for a single answer, and its hint says all the words."""
+    expect_hint(check, answer, words=words)
+
+
+def expect_hint(check, *answers, words):
+    """The check raises Wrong for the answers, and its hint says all the words."""
+    with pytest.raises(Wrong) as hint:
+        check(*answers)
+    for word in words:
+        assert word in str(hint.value), hint.value
 
 
 def _run(number, replace, change):

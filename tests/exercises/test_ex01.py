@@ -1,57 +1,16 @@
-"""Exercise 01: solutions pass, placeholders and plausible wrong answers do not."""
+"""Exercise 01: plausible wrong answers are caught, with a hint that names what is violated."""
 
 import numpy as np
 import pytest
-from helpers import placeholder, run_source
+from helpers import expect, run_source
 
-from mireach.exercises import Wrong, ex01
-
-TASKS = {
-    "t1": (ex01.check_t1, "support_of_box"),
-    "t2": (ex01.check_t2, "offsets_of_sum"),
-    "t3": (ex01.check_t3, "leaving_point"),
-    "t4": (ex01.check_t4, "count"),
-    "t5": (ex01.check_t5, "largest_factor"),
-}
-
-
-@pytest.fixture(scope="module")
-def solved():
-    return run_source(1)
-
-
-@pytest.fixture(scope="module")
-def untouched():
-    return placeholder(1)
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_solution_passes(solved, task, capsys):
-    check, name = TASKS[task]
-    for _ in range(5):  # the checks draw random data
-        check(solved[name])
-    assert capsys.readouterr().out.startswith("ok")
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_placeholder_is_named(untouched, task):
-    check, name = TASKS[task]
-    with pytest.raises(Wrong, match="not filled in yet"):
-        check(untouched[name])
+from mireach.exercises import ex01
 
 
 def test_every_answer_cell_can_be_replaced():
     assert run_source(1, {"ex01_t4": "count = 12"})["count"] == 12
     with pytest.raises(KeyError, match="ex01_t9"):
         run_source(1, {"ex01_t9": "pass"})
-
-
-def expect(check, answer, *words):
-    """The check raises Wrong, and its hint says all the words."""
-    with pytest.raises(Wrong) as error:
-        check(answer)
-    for word in words:
-        assert word in str(error.value)
 
 
 def test_upper_corner_alone_is_caught_with_a_point():

@@ -1,42 +1,10 @@
-"""Exercise 06: the solutions pass, untouched copies and plausible mistakes are told what is wrong."""
+"""Exercise 06: plausible mistakes are told what is wrong."""
 
 import numpy as np
 import pytest
-from helpers import placeholder, run_source
 
 import mireach as mr
 from mireach.exercises import Wrong, ex06
-
-CHECKS = {
-    "t1": lambda answers: ex06.check_t1(answers["top"], answers["bottom"]),
-    "t2": lambda answers: ex06.check_t2(answers["find_safe_set"]),
-    "t3": lambda answers: ex06.check_t3(answers["largest_bound"]),
-    "t4": lambda answers: ex06.check_t4(answers["C"]),
-    "t5": lambda answers: ex06.check_t5(answers["growth"]),
-    "t6": lambda answers: ex06.check_t6(answers["x0"], answers["first"], answers["second"]),
-}
-
-
-@pytest.fixture(scope="module")
-def solved():
-    return run_source(6)
-
-
-@pytest.fixture(scope="module")
-def untouched():
-    return placeholder(6)
-
-
-@pytest.mark.parametrize("task", CHECKS)
-def test_the_solution_passes(solved, task, capsys):
-    CHECKS[task](solved)
-    assert capsys.readouterr().out.startswith("ok: ")
-
-
-@pytest.mark.parametrize("task", CHECKS)
-def test_an_untouched_answer_is_named(untouched, task):
-    with pytest.raises(Wrong, match="not filled in yet"):
-        CHECKS[task](untouched)
 
 
 def test_a_side_without_the_disturbance_is_off(solved):

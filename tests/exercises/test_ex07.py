@@ -1,42 +1,10 @@
-"""Exercise 07: the solutions pass, untouched copies and plausible mistakes are told what is wrong."""
+"""Exercise 07: plausible mistakes are told what is wrong."""
 
 import numpy as np
 import pytest
-from helpers import placeholder, run_source
 
 from mireach import Polytope
 from mireach.exercises import Wrong, ex07
-
-CHECKS = {
-    "t1": lambda answers: ex07.check_t1(answers["grid_error"]),
-    "t2": lambda answers: ex07.check_t2(answers["points"], answers["x"]),
-    "t3": lambda answers: ex07.check_t3(answers["minimax_mode"]),
-    "t4": lambda answers: ex07.check_t4(answers["D"]),
-    "t5": lambda answers: ex07.check_t5(answers["least_squares"], answers["minimax"]),
-    "t6": lambda answers: ex07.check_t6(answers["upper"]),
-}
-
-
-@pytest.fixture(scope="module")
-def solved():
-    return run_source(7)
-
-
-@pytest.fixture(scope="module")
-def untouched():
-    return placeholder(7)
-
-
-@pytest.mark.parametrize("task", CHECKS)
-def test_the_solution_passes(solved, task, capsys):
-    CHECKS[task](solved)
-    assert capsys.readouterr().out.startswith("ok: ")
-
-
-@pytest.mark.parametrize("task", CHECKS)
-def test_an_untouched_answer_is_named(untouched, task):
-    with pytest.raises(Wrong, match="not filled in yet"):
-        CHECKS[task](untouched)
 
 
 def test_the_corner_alone_is_not_the_largest_error():

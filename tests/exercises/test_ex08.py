@@ -1,57 +1,16 @@
-"""Exercise 08: solutions pass, placeholders and plausible wrong answers do not."""
+"""Exercise 08: plausible wrong answers are caught, with a hint that names what is violated."""
 
 import numpy as np
 import pytest
-from helpers import placeholder, run_source
+from helpers import expect
 
 import mireach as mr
-from mireach.exercises import Wrong, ex08
-
-TASKS = {
-    "t1": (ex08.check_t1, "lost"),
-    "t2": (ex08.check_t2, "cost"),
-    "t3": (ex08.check_t3, "plan"),
-    "t4": (ex08.check_t4, "small"),
-    "t5": (ex08.check_t5, "other"),
-}
-
-
-@pytest.fixture(scope="module")
-def solved():
-    return run_source(8)
-
-
-@pytest.fixture(scope="module")
-def untouched():
-    return placeholder(8)
+from mireach.exercises import ex08
 
 
 @pytest.fixture(scope="module")
 def case():
     return mr.case_study("double_integrator")
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_solution_passes(solved, task, capsys):
-    check, name = TASKS[task]
-    for _ in range(2):  # the checks draw random data
-        check(solved[name])
-    assert capsys.readouterr().out.startswith("ok")
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_placeholder_is_named(untouched, task):
-    check, name = TASKS[task]
-    with pytest.raises(Wrong, match="not filled in yet"):
-        check(untouched[name])
-
-
-def expect(check, answer, *words):
-    """The check raises Wrong, and its hint says all the words."""
-    with pytest.raises(Wrong) as error:
-        check(answer)
-    for word in words:
-        assert word in str(error.value)
 
 
 def drift(x):

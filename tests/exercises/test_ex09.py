@@ -1,43 +1,10 @@
-"""Exercise 09: solutions pass, placeholders and plausible wrong answers do not."""
+"""Exercise 09: plausible wrong answers are caught, with a hint that names what is violated."""
 
 import numpy as np
 import pytest
-from helpers import placeholder, run_source
 
 import mireach as mr
 from mireach.exercises import Wrong, ex09
-
-TASKS = {
-    "t1": (ex09.check_t1, ("count_iterations",)),
-    "t2": (ex09.check_t2, ("largest",)),
-    "t3": (ex09.check_t3, ("leaving_state",)),
-    "t4": (ex09.check_t4, ("rule_holds",)),
-    "t5": (ex09.check_t5, ("state", "value")),
-}
-
-
-@pytest.fixture(scope="module")
-def solved():
-    return run_source(9)
-
-
-@pytest.fixture(scope="module")
-def untouched():
-    return placeholder(9)
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_solution_passes(solved, task, capsys):
-    check, names = TASKS[task]
-    check(*(solved[name] for name in names))
-    assert capsys.readouterr().out.startswith("ok")
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_placeholder_is_named(untouched, task):
-    check, names = TASKS[task]
-    with pytest.raises(Wrong, match="not filled in yet"):
-        check(*(untouched[name] for name in names))
 
 
 def expect(check, *answer_and_words, arguments=1):
