@@ -5,7 +5,11 @@ figures can be read in grey.
 """
 
 import numpy as np
-from matplotlib.patches import Polygon
+
+try:
+    from matplotlib.patches import Polygon
+except ImportError as missing:
+    raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
 
 GREEN, BLUE, RED, BLACK, GREY, ORANGE = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A", "#E69F00"
 SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}

@@ -100,6 +100,8 @@ def reproduce(results="results", figures="docs/figures", engine=None, cross_chec
     ValueError
         If a network has no safe set.
     """
+    from . import plotting  # noqa: F401 - where matplotlib is missing this says so, before the work is done
+
     analyses = [analyse(case_study(name), engine, cross_check, progress) for name in NAMES]
     draw_figures(analyses, Path(figures))
     text = "\n".join(["# The paper and this reproduction\n", *(markdown(analysis) for analysis in analyses)])
