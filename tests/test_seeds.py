@@ -25,11 +25,14 @@ def test_rows_read_back_to_the_same_numbers(tmp_path):
 
 
 def test_a_truncated_study_is_refused(tmp_path):
-    save_rows(tmp_path / "seeds.csv", [ROW])
-    text = (tmp_path / "seeds.csv").read_text()
-    (tmp_path / "seeds.csv").write_text(text[:-30])
-    with pytest.raises(CorruptFileError, match="seed study"):
-        load_rows(tmp_path / "seeds.csv")
+    file = tmp_path / "seeds.csv"
+    save_rows(file, [ROW, replace(ROW, seed=1)])
+    text = file.read_text()
+    at_the_end_of_a_line = "".join(text.splitlines(keepends=True)[:-2])
+    for part in (text[:-4], text[:-40], at_the_end_of_a_line):
+        file.write_text(part)
+        with pytest.raises(CorruptFileError, match="seed study"):
+            load_rows(file)
 
 
 def test_choice_prefers_the_paper_s_figures_among_good_losses():

@@ -11,11 +11,9 @@ from tqdm.auto import tqdm
 
 from .checks import real_array, require_columns
 from .errors import CorruptFileError, MireachError
-from .files import write_whole
+from .files import END, write_whole
 from .mpc import NonlinearMPC, solve_miqp
 from .plants import double_integrator_plant, pwa_plant
-
-END = "# end: {} rows"  # the last line of a file, by which a truncated one is recognized
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from .errors import CorruptFileError
 
+END = "# end: {} rows"  # the last line of a table, by which a truncated one is recognized
+
 
 def write_whole(path, content):
     """Write text or bytes so that a reader sees the old file or the new one, never a part.

@@ -15,7 +15,7 @@ from .checks import whole_number
 from .datasets import DataSet, make_double_integrator_data, make_pwa_data
 from .engines.cells import cells
 from .errors import CorruptFileError, MireachError
-from .files import write_whole
+from .files import END, write_whole
 from .invariance import safe_set, terminal_set
 from .network import MaxoutNetwork
 
@@ -194,12 +194,12 @@ def choose(name, rows):
 
 
 def save_rows(path, rows):
-    """Write the study as CSV whose numbers read back to the same floats."""
+    """Write the study as CSV whose numbers read back to the same floats; the last line gives the number of rows."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(field.name for field in fields(SeedRow))
     writer.writerows(asdict(row).values() for row in rows)
-    write_whole(path, text.getvalue())
+    write_whole(path, text.getvalue() + END.format(len(rows)) + "\n")
 
 
 def load_rows(path):
@@ -215,10 +215,12 @@ def load_rows(path):
         for field in fields(SeedRow)
     }
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        reader = csv.DictReader(io.StringIO(text))
-        if reader.fieldnames != list(kinds) or not text.endswith("\n"):
-            raise ValueError("its first line does not name the columns of SeedRow, or it is truncated")
+        *lines, end = Path(path).read_text(encoding="utf-8").splitlines() or [""]
+        reader = csv.DictReader(lines)
+        if reader.fieldnames != list(kinds):
+            raise ValueError("its first line does not name the columns of SeedRow")
+        if end != END.format(len(lines) - 1):
+            raise ValueError("its last line does not give the number of rows it holds; it is truncated")
         return [SeedRow(**{key: kinds[key](value) for key, value in row.items()}) for row in reader]
     except (KeyError, TypeError, ValueError) as error:
         raise CorruptFileError(f"{path} holds no seed study: {error!r}; make it again") from error
