@@ -251,23 +251,25 @@ def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progres
             worst = int(np.argmax(image.bound - limit))
             if image.bound[worst] <= limit[worst] + tol:
                 return SafeSet(history[-1], k, history, "proven", f"R1(F{k}) lies in X, so F{k} is RPI", None)
-            leaves = f"R1(F{k}) leaves X by {image.bound[worst] - limit[worst]:.3g}"
-            witness, attained = image.witness[worst], image.value[worst] > limit[worst] + max(tol, ATTAINED)
+            attained = image.value[worst] > limit[worst] + max(tol, ATTAINED)
             smaller = np.minimum(image.bound, h)
-            if (smaller >= h - tol).all():
-                still = (smaller >= h).all()
-                same = f"F{k + 1} = F{k}" if still else f"F{k + 1} = F{k} to within {tol:g}"
-                verdict = "refuted" if attained and still else "unknown"
-                return SafeSet(None, k, history, verdict, f"{same}, yet {leaves}: {witness}", witness)
             following = Polytope(V, smaller)
-            if following.is_empty:
-                reason = f"F{k + 1} is empty: {leaves}: {witness}"
-                return SafeSet(None, k, history, "refuted", reason, witness)
-            if k < max_iterations:
-                h, history = smaller, [*history, following]
-                bar.update()
-    reason = f"max_iterations = {max_iterations} came first; {leaves}: {witness}"
-    return SafeSet(None, max_iterations, history, "unknown", reason, witness)
+            rests = (smaller >= h - tol).all()
+            if rests or following.is_empty or k == max_iterations:
+                break
+            h, history = smaller, [*history, following]
+            bar.update()
+    witness = image.witness[worst]
+    leaves = f"R1(F{k}) leaves X by {image.bound[worst] - limit[worst]:.3g}: {witness}"
+    if rests:
+        still = (smaller >= h).all()
+        verdict = "refuted" if attained and still else "unknown"
+        reason = f"F{k + 1} = F{k}{'' if still else f' to within {tol:g}'}, yet {leaves}"
+    elif following.is_empty:
+        verdict, reason = "refuted", f"F{k + 1} is empty: {leaves}"
+    else:
+        verdict, reason = "unknown", f"max_iterations = {max_iterations} came first; {leaves}"
+    return SafeSet(None, k, history, verdict, reason, witness)
 
 
 def terminal_set(
@@ -326,21 +328,19 @@ def terminal_set(
     c = _centre(loop, centre)
     V = _with_rows(_template(loop, C), F.H)
     history, alphas = [F], []
-    h = F.support(V)
+    h, after = F.support(V), support(loop, F, V, engine=engine, **options).bound
+    _require_own(after - h, tol)
+    criterion = stagnant = False
     with tqdm(total=max_steps, desc="terminal set", disable=not progress) as bar:
-        while len(history) <= max_steps:
-            after = support(loop, history[-1], V, engine=engine, **options).bound
-            if not alphas:
-                _require_own(after - h, tol)
+        while not (criterion or stagnant) and len(alphas) < max_steps:
             smaller = np.minimum(after, h)
             R = Polytope(V, smaller)
             stagnant, still = (smaller >= h - tol).all(), (smaller >= h).all()
             alphas.append(_growth(R, h, c))
             h, history = smaller, [*history, R]
-            criterion = _is_near_limit(loop, R, V, epsilon, c, engine, options)
+            after = support(loop, R, V, engine=engine, **options).bound
+            criterion = _is_near_limit(loop, R, after, V, epsilon, c, engine, options)
             bar.update()
-            if criterion or stagnant:
-                break
     k = len(alphas)
     if criterion:
         reason = f"eq. TerminationFmin holds at k = {k}"
@@ -596,12 +596,15 @@ def _growth(R, h_before, c):
     return float(((h_before - R.H @ c) / reach).min())
 
 
-def _is_near_limit(loop, R, V, epsilon, c, engine, options):
-    """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S)."""
+def _is_near_limit(loop, R, after, V, epsilon, c, engine, options):
+    """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S); `after` bounds R_1(R)."""
     if not R.contains(c):
         return False
     S = R.scale(1 / (1 + epsilon), c)
-    return bool((S.support(V) <= support(loop, S, V, engine=engine, **options).value).all())
+    h = S.support(V)
+    if (h > after).any():  # not even in R_1-bar(R), which holds R_1-bar(S)
+        return False
+    return bool((h <= support(loop, S, V, engine=engine, **options).value).all())
 
 
 def _steps_into(loop, safe, target, V, engine, max_steps, options):

@@ -148,13 +148,15 @@ class ClosedLoop:
         path = path[np.isfinite(path).all(axis=1)][-50:]
         starts = [path[-1], path.mean(axis=0), *self.system.state_set.sample(np.random.default_rng(0), tries)]
         for x in starts:
-            for _ in range(50):
-                if self._outside(x[None])[0]:
-                    break
+            pieces = set()
+            while not self._outside(x[None])[0]:
                 if np.abs(self.step(x) - x).max() < 1e-11 * (1 + np.abs(x).max()):
                     return x
                 mode = self.system.modes[self._modes(x[None])[0]]
                 K, g = self.network.affine_piece(x)
+                if (mode, K.tobytes(), g.tobytes()) in pieces:  # back on a piece that has sent the search away
+                    break
+                pieces.add((mode, K.tobytes(), g.tobytes()))
                 try:
                     x = np.linalg.solve(np.eye(len(x)) - mode.A - mode.B @ K, mode.B @ g + mode.p)
                 except np.linalg.LinAlgError:

@@ -13,7 +13,7 @@ class Polygons:
     Attributes
     ----------
     points : array (T, 2)
-        The vertices of all polygons, one polygon after the other, each in order around it.
+        The vertices of all polygons, one polygon after the other, each counter-clockwise around it.
     starts : array (N + 1,) of int
         Polygon i has the vertices points[starts[i] : starts[i + 1]], at least one.
     """
@@ -38,6 +38,20 @@ class Polygons:
     def owner(self):
         """(T,) index of the polygon that each vertex belongs to."""
         return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+    @cached_property
+    def onward(self):
+        """(T,) index of the vertex that follows each vertex around its polygon."""
+        following = np.arange(1, len(self.points) + 1)
+        following[self.starts[1:] - 1] = self.starts[:-1]
+        return following
+
+    @cached_property
+    def discs(self):
+        """For each polygon a disc that holds it: centres (N, 2) and radii (N,), rounded up."""
+        centres = (self.least(self.points) + self.largest(self.points)) / 2
+        reach = np.linalg.norm(self.points - centres[self.owner], axis=1)
+        return centres, self.largest(reach) * (1 + 1e-12)
 
     def least(self, values):
         """Smallest of `values` (T, ...) over the vertices of each polygon: (N, ...)."""
@@ -83,10 +97,8 @@ class Polygons:
         inside = excess <= tol
         if inside.all():
             return self, np.arange(len(self))
-        after = np.arange(1, len(self.points) + 1)
-        after[self.starts[1:] - 1] = self.starts[:-1]
-        crossing = np.flatnonzero(inside != inside[after])
-        onward = after[crossing]
+        crossing = np.flatnonzero(inside != inside[self.onward])
+        onward = self.onward[crossing]
         share = np.clip(excess[crossing] / (excess[crossing] - excess[onward]), 0, 1)
         cuts = self.points[crossing] + share[:, None] * (self.points[onward] - self.points[crossing])
         counts = inside.astype(int)
@@ -103,8 +115,6 @@ class Polygons:
         """Dimension of each polygon, (N,) of 0, 1 or 2; extents up to `tol` (a length) count as none."""
         length = np.linalg.norm(self.largest(self.points) - self.least(self.points), axis=1)
         spokes = self.points - self.points[self.starts[:-1]][self.owner]
-        onward = np.arange(1, len(spokes) + 1)
-        onward[self.starts[1:] - 1] = self.starts[:-1]
-        turns = spokes[:, 0] * spokes[onward, 1] - spokes[:, 1] * spokes[onward, 0]
+        turns = spokes[:, 0] * spokes[self.onward, 1] - spokes[:, 1] * spokes[self.onward, 0]
         area = np.abs(np.add.reduceat(turns, self.starts[:-1])) / 2
         return (length > tol).astype(int) + (area > tol * length)

@@ -9,9 +9,11 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from .checks import positive_number, real_array, require_columns, require_kind, whole_number
+from .compiled import around, polygon
 from .lp import LinearProgram
 
 TOUCH = 1e-11  # vertices count as one point, and as inside, within this distance (relative to 1 + the size of the set)
+PARALLEL = 1e-12  # unit rows whose determinant is below this have no vertex
 MOST_VERTEX_CANDIDATES = 2_000_000  # subsets of rows that `vertices` is willing to try
 
 
@@ -181,13 +183,15 @@ class Polytope:
     @cached_property
     def is_empty(self):
         """True if no point satisfies H x <= h (to within the LP solver's 1e-9)."""
+        if self._polygon is not None:
+            return False
         lp, x = self._program
         return lp.maximize(x, np.zeros(self.dimension)).value == -np.inf
 
     @cached_property
     def is_bounded(self):
         """True if P is empty or its support function is finite everywhere."""
-        return self.is_empty or self._extent < np.inf
+        return self._polygon is not None or self.is_empty or self._extent < np.inf
 
     @cached_property
     def _extent(self):
@@ -253,8 +257,16 @@ class Polytope:
         return self._vertices.copy()
 
     @cached_property
+    def _polygon(self):
+        """In the plane the vertices, where they prove P bounded and nonempty without a linear program; else None."""
+        found = polygon(self.H, self.h, PARALLEL, TOUCH) if self.dimension == 2 else ()
+        return found if len(found) else None
+
+    @cached_property
     def _vertices(self):
         n = self.dimension
+        if self._polygon is not None:
+            return self._polygon
         if self.is_empty:
             return np.zeros((0, n))
         if not self.is_bounded:
@@ -265,13 +277,13 @@ class Polytope:
         used = length > 0
         H, h = self.H[used] / length[used, None], self.h[used] / length[used]
         subsets = np.array(list(combinations(range(len(h)), n)))
-        regular = np.abs(np.linalg.det(H[subsets])) > 1e-12
+        regular = np.abs(np.linalg.det(H[subsets])) > PARALLEL
         points = np.linalg.solve(H[subsets[regular]], h[subsets[regular]][..., None])[..., 0]
         scale = 1 + abs(self._extent)  # not the largest offset: a redundant row may lie far away
         excess = (points @ H.T - h).max(axis=1)
         inside = excess <= max(TOUCH * scale, excess.min())  # a set that is empty by a rounding error is a point
         points = _distinct(points[inside], TOUCH * scale)
-        return _counter_clockwise(points) if n == 2 else points
+        return around(points) if n == 2 else points
 
     def chebyshev(self):
         """Centre and radius of the largest ball in P: ((n,), float).
@@ -291,6 +303,19 @@ class Polytope:
         """Smallest box around P as (lower (n,), upper (n,)): inf where P is unbounded, lower > upper if P is empty."""
         identity = np.eye(self.dimension)
         return -self.support(-identity), self.support(identity)
+
+    def area(self):
+        """Area of a bounded set of the plane, in units of x^2; 0 for flat and empty ones.
+
+        Raises
+        ------
+        ValueError
+            If P is unbounded or not in the plane.
+        """
+        if self.dimension != 2:
+            raise ValueError(f"only sets of the plane have an area; this one lies in R^{self.dimension}")
+        x, y = self._vertices.T
+        return float(x @ np.roll(y, -1) - np.roll(x, -1) @ y) / 2
 
     # -- new sets ---------------------------------------------------------------------------------
 
@@ -389,19 +414,3 @@ def _distinct(points, distance):
         if all(np.abs(point - other).max() > distance for other in kept):
             kept.append(point)
     return np.array(kept).reshape(-1, points.shape[1])
-
-
-def _counter_clockwise(points):
-    """Points of the plane by angle about their mean, and none that is not extreme."""
-    if len(points) < 3:
-        return points
-    spokes = points - points.mean(axis=0)
-    points = points[np.argsort(np.arctan2(spokes[:, 1], spokes[:, 0]))]
-    into, out = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
-    turn = into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0]
-    corners = points[turn > 1e-12 * np.linalg.norm(into, axis=1) * np.linalg.norm(out, axis=1)]
-    if len(corners) > 2:
-        return corners
-    gaps = points - points[0]  # the points are collinear: keep the two ends
-    along = points @ gaps[np.argmax(np.linalg.norm(gaps, axis=1))]
-    return points[[np.argmin(along), np.argmax(along)]]

@@ -58,7 +58,7 @@ def support(loop, F, V, steps=1, engine=None, **options):
     if not isinstance(engine, str) or engine not in ENGINES:
         raise ValueError(f"engine must be one of {', '.join(ENGINES)}; got {engine!r}")
     answer = import_module(f"{__package__}.engines.{ENGINES[engine]}").support
-    known = inspect.signature(answer).parameters
+    known = inspect.signature(answer).parameters if options else {}
     unknown = [name for name in options if name not in known]
     if unknown and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values()):
         own = ", ".join(list(known)[4:]) or "none"

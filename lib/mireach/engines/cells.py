@@ -6,15 +6,16 @@ reachable set is then a maximum over the vertices of (cell & F), without any MIL
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
+from ..compiled import highest
 from ..loop import require_inputs
 from ..lp import LinearProgram
 from ..polygons import Polygons
 from ..polytope import Polytope
-from .common import Support, checked_query, empty_support, replay
+from .common import Lazily, Support, checked_query, empty_support, replay
 
 TOUCH = 1e-11  # closed sets that come this close touch (relative to the size of X)
 ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this, relative to the size of the states
@@ -46,12 +47,17 @@ class Cells:
         """The cells with the given indices."""
         return Cells(self.polygons.take(chosen), self.mode[chosen], self.K[chosen], self.g[chosen])
 
+    @cached_property
+    def size(self):
+        """Largest coordinate, at least 1."""
+        return _size(self.polygons.points)
+
     def restrict(self, F):
         """Those parts of the cells that meet the Polytope F: Polygons, and the cell each comes from."""
         polygons, norms = self.polygons, np.linalg.norm(F.H, axis=1)
         norms[norms == 0] = 1
         H, h = F.H / norms[:, None], F.h / norms
-        touch = TOUCH * _size(polygons.points)
+        touch = TOUCH * self.size
         excess = polygons.points @ H.T - h
         near = (polygons.least(excess) <= touch).all(axis=1)
         straddling = near[:, None] & (polygons.largest(excess) > touch)
@@ -83,10 +89,9 @@ class LoopCells:
     c: np.ndarray
     unit: float
 
-    def images(self, part, index):
-        """M x + c at all vertices of the Polygons `part`, which lie in the cells `index`: array (T, 2)."""
-        rows = index[part.owner]
-        return np.einsum("tij,tj->ti", self.M[rows], part.points) + self.c[rows]
+    def images(self, points, owner):
+        """M x + c at points (T, 2) of the cells `owner` (T,): array (T, 2)."""
+        return np.einsum("tij,tj->ti", self.M[owner], points) + self.c[owner]
 
 
 def cells(loop):
@@ -139,27 +144,22 @@ def support(loop, F, V, steps=1):
     V, steps = checked_query(loop, F, V, steps)
     every = _loop_cells(loop)
     spread = _disturbance_supports(loop, V)
-    value, ends = np.full(len(V), -np.inf), [None] * len(V)
     pieces = [(F, ())]
-    for step in range(steps):
-        following = []
-        for piece, chain in pieces:
-            part, index = every.cells.restrict(piece)
-            if not len(part):
-                continue
-            if step == steps - 1:
-                _improve(value, ends, every, part, index, V, spread, chain)
-            else:
-                following += _images(every, part, index, loop, chain)
-        if len(following) > MOST_PIECES:
+    for step in range(steps - 1):
+        pieces = [image for piece, chain in pieces for image in _images(every, piece, loop, chain)]
+        if len(pieces) > MOST_PIECES:
             raise ValueError(
-                f"after {step + 1} steps the reachable set has {len(following)} pieces; take fewer steps, "
+                f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, "
                 'a smaller F, or engine="milp"'
             )
-        pieces = following
+    value, ends = np.full(len(V), -np.inf), [None] * len(V)
+    for piece, chain in pieces:
+        highest, cell = _highest(every, piece, V, spread)
+        for k in np.flatnonzero(highest > value):
+            value[k], ends[k] = highest[k], (piece, chain, cell[k])
     if not np.isfinite(value).all():
         return empty_support(len(V))
-    witness = tuple(_witness(loop, every, F, v, *end) for v, end in zip(V, ends))
+    witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *ends[k]))
     unit = every.unit * 2.0 ** np.floor(np.log2(np.linalg.norm(V, axis=1, ord=2).clip(1)))
     return Support(value, np.ceil(value / unit + 0.05) * unit, witness)
 
@@ -167,7 +167,7 @@ def support(loop, F, V, steps=1):
 # -- building the cells -------------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=128)
 def _loop_cells(loop):
     """Cells and nominal dynamics of a loop, after the checks that `cells` promises."""
     if loop.system.state_size != 2:
@@ -176,13 +176,13 @@ def _loop_cells(loop):
     require_inputs(loop, found.polygons.points)
     A, B, p = (np.array([getattr(mode, name) for mode in loop.system.modes])[found.mode] for name in "ABp")
     every = LoopCells(found, A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p, 0.0)
-    images = every.images(found.polygons, np.arange(len(found)))
+    images = every.images(found.polygons.points, found.polygons.owner)
     limits = [mode.disturbance.bounding_box() for mode in loop.system.modes]
     size = max(_size(found.polygons.points), _size(images), _size(np.array(limits)))
     return replace(every, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=128)
 def _cells(network, regions, state_set):
     """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u)."""
     n = 2
@@ -307,20 +307,40 @@ def _disturbance_supports(loop, V):
     return np.array([known[mode.disturbance] for mode in loop.system.modes])
 
 
-def _improve(value, ends, every, part, index, V, spread, chain):
-    """Raise `value` (k,) to the largest v x+ over the vertices of `part`, and note in `ends` where it is attained."""
-    reached = every.images(part, index) @ V.T + spread[every.cells.mode[index[part.owner]]]
-    top = reached.argmax(axis=0)
-    for k in np.flatnonzero(reached[top, np.arange(len(V))] > value):
-        value[k] = reached[top[k], k]
-        polygon = part.owner[top[k]]
-        ends[k] = (chain, part[polygon], index[polygon], part.points[top[k]])
+@lru_cache(maxsize=16)
+def _heights(every, shape, rows):
+    """Largest v x+ without disturbance over each cell, for the rows v of V: (N, k)."""
+    polygons = every.cells.polygons
+    return polygons.largest(every.images(polygons.points, polygons.owner) @ np.frombuffer(rows).reshape(shape).T)
 
 
-def _images(every, part, index, loop, chain):
+def _highest(every, F, V, spread):
+    """max v x+ over the states of F, for the rows v of V, and the cell in which it is attained: (k,) and (k,)."""
+    found, polygons = every.cells, every.cells.polygons
+    norms = np.linalg.norm(F.H, axis=1)
+    norms[norms == 0] = 1
+    heights = _heights(every, V.shape, V.tobytes())
+    return highest(
+        polygons.points,
+        polygons.starts,
+        *polygons.discs,
+        every.M,
+        every.c,
+        found.mode,
+        heights,
+        spread,
+        F.H / norms[:, None],
+        F.h / norms,
+        TOUCH * found.size,
+        np.array(V),
+    )
+
+
+def _images(every, F, loop, chain):
     """The convex images M (cell & F) + c + D, each with the chain of (polygon, cell) that led to it."""
+    part, index = every.cells.restrict(F)
     corners = [mode.disturbance.vertices() for mode in loop.system.modes]
-    images = Polygons(every.images(part, index), part.starts)
+    images = Polygons(every.images(part.points, index[part.owner]), part.starts)
     return [
         (
             Polytope.from_points((images[i][:, None] + corners[every.cells.mode[cell]]).reshape(-1, 2)),
@@ -330,12 +350,15 @@ def _images(every, part, index, loop, chain):
     ]
 
 
-def _witness(loop, every, F, v, chain, polygon, cell, point):
-    """A trajectory that attains the maximum along v, which lies at `point` of the last polygon of the chain."""
+def _witness(loop, every, F, v, piece, chain, cell):
+    """A trajectory that attains the maximum along v: through the chain, to the part of `cell` in `piece`."""
+    part, _ = every.cells.take([cell]).restrict(piece)
+    points = part.points
     if chain:
-        return _longer_witness(loop, every, F, v, [*chain, (polygon, cell)])
+        return _longer_witness(loop, every, F, v, [*chain, (points, cell)])
     mode = every.cells.mode[cell]
     corners = loop.system.modes[mode].disturbance.vertices()
+    point = points[np.argmax(every.images(points, np.full(len(points), cell)) @ v)]
     return replay(loop, point, [mode], [corners[np.argmax(corners @ v)]])
 
 

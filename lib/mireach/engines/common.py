@@ -1,6 +1,8 @@
 """What every engine answers with."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -46,13 +48,27 @@ class Support:
         Attained by the witness; -inf where the reachable set is empty.
     bound : array (k,)
         Upper bound; no trajectory exceeds it. Sets are built from it.
-    witness : tuple of Witness or None
+    witness : sequence of Witness or None
         One a direction; None where there is no trajectory at all.
     """
 
     value: np.ndarray
     bound: np.ndarray
-    witness: tuple
+    witness: Sequence
+
+
+class Lazily(Sequence):
+    """A sequence whose entry i is make(i), made when it is first asked for."""
+
+    def __init__(self, count, make):
+        self._indices, self._make = range(count), lru_cache(maxsize=None)(make)
+
+    def __len__(self):
+        return len(self._indices)
+
+    def __getitem__(self, i):
+        chosen = self._indices[i]
+        return self._make(chosen) if isinstance(chosen, int) else tuple(map(self._make, chosen))
 
 
 def empty_support(count):
