@@ -4,6 +4,7 @@
     python3 run.py reproduce          both case studies -> results/report.md, results/report.json, docs/figures/
     python3 run.py test               every test, the notebooks and exercises included
     python3 run.py lab                JupyterLab on notebooks/
+    python3 run.py app                the disturbance lab as a page of its own, for a lecture
     python3 run.py exercises          the students' copies of the exercises -> notebooks/exercises/release/
     python3 run.py notebooks [NAME]   execute the notebooks' .py files and keep the outputs in the .ipynb files
     python3 run.py train CASE         make the data set and the network of CASE (pwa, double_integrator) from scratch
@@ -29,6 +30,7 @@ TASKS = {
     "train": ["-m", "mireach", "train"],
     "seeds": ["-m", "mireach", "seeds"],
     "lab": ["-m", "jupyterlab", "notebooks"],
+    "app": [str(ROOT / "notebooks" / "app.py")],
     "exercises": [str(ROOT / "notebooks" / "exercises" / "release.py")],
     "notebooks": [str(ROOT / "notebooks" / "build.py")],
     "bench": [str(ROOT / "benchmarks" / "run.py")],

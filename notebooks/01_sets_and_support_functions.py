@@ -220,14 +220,8 @@ plt.show()
 
 
 # %% tags=["nbval-check-output"]
-def area(P):
-    """Area of a polygon, by its corners in order."""
-    x, y = P.vertices().T
-    return (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2
-
-
 for count in (4, 8, 16, 32):
-    excess = area(template(mr.directions(count))) / area(hull) - 1
+    excess = template(mr.directions(count)).area() / hull.area() - 1
     print(f"{count:2} directions: {excess:6.1%} more area than the convex hull")
 
 # %% [markdown]

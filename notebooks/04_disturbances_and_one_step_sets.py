@@ -245,17 +245,11 @@ plt.show()
 
 
 # %% tags=["nbval-check-output"]
-def area(P):
-    """Area of a bounded polytope of the plane (shoelace formula)."""
-    x, y = P.vertices().T
-    return 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
 outer = {rows: mr.outer_step(loop, G, mr.directions(rows)) for rows in (4, 8, 16)}  # eq. Rover1
 hull = mr.Polytope.from_points(np.vstack([piece.vertices() for piece in pieces]))
 for rows, R in outer.items():
-    print(f"{rows:2d} directions: area {area(R):6.1f}")
-print(f"convex hull:   area {area(hull):6.1f}")
+    print(f"{rows:2d} directions: area {R.area():6.1f}")
+print(f"convex hull:   area {hull.area():6.1f}")
 
 # %%
 fig, axes = plt.subplots(1, 3, figsize=(8, 3.2), sharey=True)

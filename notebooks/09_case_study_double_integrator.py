@@ -293,7 +293,7 @@ print("it is there from step", int(np.argmax(terminal.set.contains(path))))
 begin = np.vstack([safe.set.sample(np.random.default_rng(0), 3000), safe.set.vertices()])
 paths = plant.simulate(network, begin, terminal.steps + 10)  # (N, k, 2), the plant: no disturbance
 slack = np.array([(R.h - paths[:, k] @ R.H.T).min() for k, R in enumerate(terminal.history)])
-print("plant trajectories:", len(paths))
+print("plant trajectories: 3000, and from every vertex")
 print("all in R_k-bar at every step k:", bool((slack >= -1e-9).all()))
 print("all in F_max at all times:     ", bool(safe.set.contains(paths, tol=1e-9).all()))
 print("all in R_min-bar from k-bar on:", bool(terminal.set.contains(paths[:, terminal.steps :], tol=1e-9).all()))
@@ -339,12 +339,6 @@ print("Theorem 2:", theorem.verdict)
 
 
 # %%
-def area(P):
-    """Area of a polygon, by its vertices (shoelace formula)."""
-    x, y = P.vertices().T
-    return (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2
-
-
 minimax = double_integrator_fit(method="minimax")
 systems = {
     "paper": case.system,
@@ -361,8 +355,9 @@ for name, system in systems.items():
     R = {centre: mr.terminal_set(variant, F, C, centre=centre) for centre in ("origin", "equilibrium")}
     sets[name] = F.set, R["equilibrium"].set
     bounded = mr.ultimately_bounded(plant, variant, F, R["equilibrium"]).verdict
-    print(f"{name:9s} k = {F.iterations}, areas {area(F.set):.2f} and {area(sets[name][1]):.2f}, Theorem 2 {bounded},",
-          f"rule about the origin met: {R['origin'].criterion}")  # fmt: skip
+    areas = f"areas {F.set.area():.2f} and {sets[name][1].area():.2f}"
+    met = R["origin"].criterion
+    print(f"{name:9s} k = {F.iterations}, {areas}, Theorem 2 {bounded}, rule about the origin met: {met}")
 
 # %% [markdown]
 # Each line: $k$ of $\mathcal{F}_{\max} = \mathcal{F}_k$, the areas of $\mathcal{F}_{\max}$ and of

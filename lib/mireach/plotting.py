@@ -7,6 +7,7 @@ figures can be read in grey.
 import numpy as np
 
 try:
+    from matplotlib import rc_context
     from matplotlib.patches import Polygon
 except ImportError as missing:
     raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
@@ -14,6 +15,7 @@ except ImportError as missing:
 GREEN, BLUE, RED, BLACK, GREY, ORANGE = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A", "#E69F00"
 SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
 TERMINAL = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
+EARLIER = {"facecolor": "none", "edgecolor": GREEN, "linewidth": 0.7, "linestyle": (0, (5, 3))}
 SEQUENCE = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
 
 
@@ -41,11 +43,8 @@ def draw_set(ax, P, **style):
 
 
 def draw_regions(ax, system):
-    """Thick grey outlines of those mode regions that do not depend on u."""
-    n, X = system.state_size, system.state_set
-    for mode in system.modes:
-        of_x = (mode.region.H[:, n:] == 0).all(axis=1)
-        region = type(X)(mode.region.H[of_x, :n], mode.region.h[of_x]) & X if of_x.any() else X
+    """Thick grey outlines of the mode regions, as far as they do not depend on u."""
+    for region in system.state_regions():
         draw_set(ax, region, facecolor="none", edgecolor=GREY, linewidth=2.2, zorder=0.5)
 
 
@@ -74,6 +73,12 @@ def label_axes(ax, P, title=None):
 def legend_above(ax, columns):
     """A legend over the axes, where it hides nothing."""
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize="small")
+
+
+def save_svg(figure, file, **options):
+    """Write a figure as SVG; the same figure gives the same file."""
+    with rc_context({"svg.hashsalt": "mireach"}):
+        figure.savefig(file, format="svg", metadata={"Date": None}, **options)
 
 
 def plot_sequence(ax, system, safe, terminal):
@@ -180,3 +185,35 @@ def plot_step(ax, history, k, name=r"\mathcal{F}"):
         draw_set(ax, before, **{**SEQUENCE, "edgecolor": GREY})
     draw_set(ax, history[k], **TERMINAL)
     label_axes(ax, history[0], rf"${name}_{{{k}}}$")
+
+
+def plot_look(ax, look, title=None):
+    """One look of the disturbance lab: all F_k and R_k-bar, F_max, terminal set, trajectories, or why there are none.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    look : lab.Look
+    title : str or None
+    """
+    draw_regions(ax, look.loop.system)
+    safe, terminal = look.safe, look.terminal
+    for k, F in enumerate(safe.history):
+        draw_set(ax, F, **EARLIER, label=r"$\mathcal{F}_k$" if k == 0 else None)
+    if safe.set:
+        draw_set(ax, safe.set, **SAFE, label=r"$\mathcal{F}_{\max}$")
+    draw_trajectories(ax, look.disturbed, color=BLUE, linewidth=0.5, alpha=0.6, label="disturbed", zorder=1.5)
+    if terminal:
+        for k, R in enumerate(terminal.history[1:-1]):
+            draw_set(ax, R, **SEQUENCE, label=r"$\overline{\mathcal{R}}_k$" if k == 0 else None)
+        draw_set(ax, terminal.set, **TERMINAL, label=r"$\overline{\mathcal{R}}_{\min}$", zorder=2)
+    ax.plot(*look.nominal.T, color=BLACK, linewidth=1.2, marker=".", markersize=3, label="nominal", zorder=3)
+    if look.plant is not None:
+        ax.plot(*look.plant.T, color=ORANGE, linestyle="--", linewidth=1.2, label="the plant itself", zorder=3)
+    if safe.witness is not None:
+        path = safe.witness.states.T
+        ax.plot(*path, color=RED, linewidth=2.2, label=r"a step that leaves $\mathcal{X}$", zorder=4)
+        ax.plot(*path[:, :1], "o", color=RED, markersize=4, zorder=4)
+        ax.plot(*path[:, 1:], "X", color=RED, markersize=6, zorder=4)
+        ax.text(0.5, 0.97, "no safe set", color=RED, ha="center", va="top", transform=ax.transAxes)
+    label_axes(ax, look.loop.system.state_set.scale(1.12, look.loop.system.state_set.chebyshev()[0]), title)

@@ -143,16 +143,16 @@ def analyse(case, engine=None, cross_check="milp", progress=False):
 
 def draw_figures(analyses, folder):
     """Figures 1 and 2 (case `pwa`) and 3 (case `double_integrator`), each as SVG and PNG."""
-    import matplotlib
     from matplotlib.figure import Figure
+
+    from . import plotting
 
     folder.mkdir(parents=True, exist_ok=True)
     for analysis in analyses:
         for name, draw in _drawings(analysis).items():
             figure = Figure(figsize=(6.4, 6.2), layout="constrained")
             draw(figure.add_subplot())
-            with matplotlib.rc_context({"svg.hashsalt": "mireach"}):  # the same figure gives the same file
-                figure.savefig(folder / f"{name}.svg", metadata={"Date": None}, bbox_inches="tight")
+            plotting.save_svg(figure, folder / f"{name}.svg", bbox_inches="tight")
             figure.savefig(folder / f"{name}.png", dpi=150, bbox_inches="tight")
 
 

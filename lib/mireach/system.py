@@ -130,6 +130,15 @@ class PWASystem:
         """m."""
         return self.modes[0].B.shape[1]
 
+    def state_regions(self):
+        """For each mode the part of X that the rows of its region leave which do not involve u: list of Polytope."""
+        n, X = self.state_size, self.state_set
+        found = []
+        for mode in self.modes:
+            of_x = (mode.region.H[:, n:] == 0).all(axis=1)
+            found.append(Polytope(mode.region.H[of_x, :n], mode.region.h[of_x]) & X if of_x.any() else X)
+        return found
+
     def with_disturbance(self, disturbance):
         """The same system with other disturbance sets.
 
