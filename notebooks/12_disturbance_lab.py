@@ -105,7 +105,7 @@ small_multiples(integrator, choices)
 # %% [markdown] tags=["course"]
 # **What to see.** Left: the paper's setting, with the proven error as a box. Middle: the error set that is really
 # needed, a segment, makes the terminal set a sliver. Right: twice the error is too much for any of the sets
-# $\mathcal{F}_k$ that eight directions can describe. The dashed red path is the nonlinear plant itself; it
+# $\mathcal{F}_k$ that eight directions can describe. The dashed purple path is the nonlinear plant itself; it
 # belongs to no disturbance bound.
 #
 # **The lab.** The amount is a multiple of the *proven* error of the fit. With *regions of the fit* the chessboard

@@ -231,7 +231,7 @@ def test_no_rounding_makes_a_set_grow_into_itself():
     for _ in range(200):
         angles = np.array([0, 2, 4]) + rng.uniform(0, 0.5, 3)
         R = Polytope(np.column_stack([np.cos(angles), np.sin(angles)]), rng.uniform(0.5, 2, 3))
-        assert _growth(R, R.h, np.zeros(2)) == 1
+        assert _growth(R, R.support(R.H), R.h, np.zeros(2)) == 1
 
 
 def test_terminal_sets_of_random_loops_are_invariant_reached_and_near_the_limit():

@@ -28,6 +28,10 @@ for name in ("pwa", "double_integrator"):
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+    static = ROOT / "lib" / "mireach" / "static"
+    assert {path.name for path in (tmp_path / "site" / "mireach" / "static").iterdir()} == {
+        path.name for path in static.iterdir()
+    }
 
 
 def test_the_readme_s_example_runs_and_its_files_exist(capsys):

@@ -1,10 +1,14 @@
-"""The step viewer: its callback as a plain function, at both ends of the slider and outside."""
+"""The widgets without a browser: their callbacks as plain functions, at both ends of every control and outside."""
+
+import json
 
 import numpy as np
 import pytest
+from loops import random_loop
 from traitlets import TraitError
 
-from mireach.widgets import step_viewer
+from mireach.lab import ACCURACY, look, subject
+from mireach.widgets import DisturbanceLab, step_viewer
 
 
 def viewer(count=3):
@@ -41,3 +45,96 @@ def test_slider_and_play_cover_exactly_the_steps():
 def test_nothing_to_show_is_refused():
     with pytest.raises(ValueError, match="at least 1"):
         step_viewer(lambda ax, k: None, 0)
+
+
+# -- the disturbance lab ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def lab():
+    lab = DisturbanceLab("pwa")
+    lab.sent = []
+    lab.send = lambda content, buffers=None: lab.sent.append(content)
+    return lab
+
+
+def ask(lab, **message):
+    """What the page does: a custom message."""
+    lab._on_message(lab, message, [])
+
+
+def test_lab_answers_the_page_and_says_to_what(lab):
+    ask(lab, do="look", settings={**lab.settings, "amount": 0.1}, stamp=7)
+    assert lab.picture["stamp"] == 7 and lab.settings["amount"] == 0.1
+    assert lab.picture["safe"] == look(subject("pwa"), {"amount": 0.1}).safe.set.vertices().tolist()
+    ask(lab, do="look", settings=lab.settings, stamp=8)  # the same wish again is answered too
+    assert lab.picture["stamp"] == 8
+
+
+def test_every_control_beyond_its_ends_goes_to_the_end(lab):
+    for control in lab.subject.controls:
+        if not control.choices:
+            for wild, end in ((-1e9, control.low), (1e9, control.high)):
+                ask(lab, do="look", settings={**lab.settings, control.name: wild}, stamp=1)
+                assert lab.settings[control.name] == end and "error" not in lab.picture
+
+
+def test_nonsense_from_the_page_is_said_and_changes_nothing(lab):
+    before = lab.settings
+    ask(lab, do="look", settings={**before, "network": "none"}, stamp=3)
+    assert lab.picture["error"].startswith("network must be one of") and lab.picture["stamp"] == 3
+    assert lab.settings == before
+    ask(lab, do="look", settings=before, stamp=4)
+    assert "error" not in lab.picture
+
+
+def test_settings_may_come_from_code(lab):
+    lab.settings = {**lab.settings, "amount": 99}
+    assert lab.settings["amount"] == lab.subject.control("amount").high and lab.look.safe.set is None
+    with pytest.raises(TraitError, match="no control bound"):
+        lab.settings = {"bound": 1}
+    with pytest.raises(ValueError, match="no control bound"):
+        DisturbanceLab("pwa", bound=1)
+    assert DisturbanceLab("pwa", amount=0.1).look.settings["amount"] == 0.1
+
+
+def test_idle_work_finds_the_largest_disturbance_and_ends(lab):
+    pieces = 0
+    while not lab.curve["done"]:
+        ask(lab, do="idle")
+        pieces += 1
+    assert pieces < 100 and lab.curve["settled"]
+    largest, control = lab.curve["largest"], lab.subject.control("amount")
+    for amount, there in ((largest, True), (largest + 2 * ACCURACY * control.high, False)):
+        found = look(lab.subject, {"amount": amount}).safe.set
+        assert (found is not None) == there
+    lab.settings = {**lab.settings, "safe_directions": 8}  # another template, another curve
+    assert lab.curve["points"] == [] and not lab.curve["settled"]
+    lab.settings = {**lab.settings, "safe_directions": 4, "amount": 0.1}  # the first one is still known
+    assert lab.curve["largest"] == largest
+
+
+@pytest.mark.parametrize("amount", [0.15, 0.5])
+def test_lab_saves_figure_sets_and_python(lab, amount, tmp_path):
+    lab.settings = {**lab.settings, "amount": amount}
+    for kind, ending in (("figure", "svg"), ("sets", "json"), ("script", "py")):
+        ask(lab, do="save", kind=kind)
+        lab.save(tmp_path / f"look.{ending}")
+        text = (tmp_path / f"look.{ending}").read_text(encoding="utf-8")
+        assert lab.sent[-1]["text"] == text and lab.sent[-1]["file"] == f"mireach_pwa.{ending}"
+    assert (tmp_path / "look.svg").read_text(encoding="utf-8").startswith("<?xml")
+    sets = json.loads((tmp_path / "look.json").read_text(encoding="utf-8"))
+    assert sets["safe_set"]["verdict"] == lab.look.safe.verdict
+    again = {}
+    exec((tmp_path / "look.py").read_text(encoding="utf-8"), again)
+    assert again["safe"].verdict == lab.look.safe.verdict
+    with pytest.raises(ValueError, match=r"must end in \.svg, \.json, \.py"):
+        lab.save(tmp_path / "look.png")
+
+
+def test_lab_of_a_loop_of_ones_own_needs_the_plane():
+    lab = DisturbanceLab(random_loop(1))
+    assert {control["name"] for control in lab.controls}.isdisjoint({"network", "regions", "shape"})
+    with pytest.raises(ValueError, match="3 states"):
+        DisturbanceLab(random_loop(0, n=3))
+    assert "kernel" in repr(lab)

@@ -112,9 +112,9 @@ def highest(points, starts, centres, radii, M, c, mode, heights, spread, H, h, t
     spread : array (s, k)
         h of D^(i) along the rows of V.
     H, h : array (l, 2) and (l,)
-        Unit rows.
+        Rows of any length.
     tol : float
-        Closed sets that come this close touch.
+        Closed sets that come this close (a length) touch.
     V : array (k, 2)
 
     Returns
@@ -126,6 +126,12 @@ def highest(points, starts, centres, radii, M, c, mode, heights, spread, H, h, t
     """
     rows, directions = len(h), len(V)
     value, owner = np.full(directions, -np.inf), np.zeros(directions, np.int64)
+    H, h = H.copy(), h.copy()
+    for r in range(rows):
+        length = np.hypot(H[r, 0], H[r, 1])
+        if length > 0:
+            H[r] /= length
+            h[r] /= length
     room = 2 * (np.diff(starts).max() + 2 * rows)
     polygon, part, excess, cuts = np.empty((room, 2)), np.empty((room, 2)), np.empty(room), np.empty(rows)
     for j in range(len(mode)):

@@ -336,10 +336,11 @@ def terminal_set(
             smaller = np.minimum(after, h)
             R = Polytope(V, smaller)
             stagnant, still = (smaller >= h - tol).all(), (smaller >= h).all()
-            alphas.append(_growth(R, h, c))
+            reach = R.support(V)
+            alphas.append(_growth(R, reach, h, c))
             h, history = smaller, [*history, R]
             after = support(loop, R, V, engine=engine, **options).bound
-            criterion = _is_near_limit(loop, R, after, V, epsilon, c, engine, options)
+            criterion = _is_near_limit(loop, R, reach, after, V, epsilon, c, engine, options)
             bar.update()
     k = len(alphas)
     if criterion:
@@ -352,7 +353,7 @@ def terminal_set(
             reason += '; try centre="equilibrium"'
     else:
         reason = f"max_steps = {max_steps} came first"
-    alpha, inner_radius = alphas[-1], ((np.minimum(R.support(V), R.h) - V @ c) / np.linalg.norm(V, axis=1)).min()
+    alpha, inner_radius = alphas[-1], ((np.minimum(reach, R.h) - V @ c) / np.linalg.norm(V, axis=1)).min()
     return TerminalSet(
         R,
         k,
@@ -587,24 +588,29 @@ def _centre(loop, centre):
     return c
 
 
-def _growth(R, h_before, c):
-    """Largest alpha with alpha (R - c) in R_before - c, where R_before has the rows of R and the offsets h_before."""
+def _growth(R, reach, h_before, c):
+    """Largest alpha with alpha (R - c) in R_before - c, where R_before has the rows of R and the offsets h_before.
+
+    `reach` is h of R along its rows.
+    """
     # R.h where the row is a facet: the support is rounded, and alpha = 1 + 1e-16 would be a false proof
-    reach = np.minimum(R.support(R.H) + ATTAINED * np.linalg.norm(R.H, axis=1), R.h) - R.H @ c
+    reach = np.minimum(reach + ATTAINED * np.linalg.norm(R.H, axis=1), R.h) - R.H @ c
     if (reach <= 0).any():
         return np.nan
     return float(((h_before - R.H @ c) / reach).min())
 
 
-def _is_near_limit(loop, R, after, V, epsilon, c, engine, options):
-    """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S); `after` bounds R_1(R)."""
+def _is_near_limit(loop, R, reach, after, V, epsilon, c, engine, options):
+    """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
+
+    `reach` is h of R along V, and `after` a bound on that of R_1(R).
+    """
     if not R.contains(c):
         return False
-    S = R.scale(1 / (1 + epsilon), c)
-    h = S.support(V)
-    if (h > after).any():  # not even in R_1-bar(R), which holds R_1-bar(S)
+    if ((reach + epsilon * (V @ c)) / (1 + epsilon) > after).any():  # S is not even in R_1-bar(R)
         return False
-    return bool((h <= support(loop, S, V, engine=engine, **options).value).all())
+    S = R.scale(1 / (1 + epsilon), c)
+    return bool((S.support(V) <= support(loop, S, V, engine=engine, **options).value).all())
 
 
 def _steps_into(loop, safe, target, V, engine, max_steps, options):

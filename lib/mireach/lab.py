@@ -22,9 +22,9 @@ from .system import NonlinearSystem
 OWN = "own"  # name of a network that is not one of the seed study
 SHAPES = {"box": "ball", "segment": "polytope"}  # name in the lab -> `error` of `fit_pwa`
 TRAJECTORIES = 20
-LONGEST = 60  # steps that are simulated at most
+LONGEST = 50  # steps that are simulated at most
 SETTLING = 10  # steps that trajectories run on after they have to be in the terminal set
-MOST_STEPS = 200  # sets that each of the two iterations may make
+MOST_STEPS = 150  # sets that each of the two iterations may make
 COARSE = 9  # amounts, evenly spread, that are tried before the bisection
 ACCURACY = 1e-4  # of the largest disturbance, relative to the range of amounts
 
@@ -301,14 +301,15 @@ def look(subject, settings=None):
         seconds += more
     steps = min(terminal.steps + SETTLING, LONGEST) if terminal else LONGEST
     start = np.array([settings["x1"], settings["x2"]])
+    nominal, disturbed = _trajectories(loop, start, steps, settings["seed"])
     return Look(
         settings=settings,
         loop=loop,
         safe=safe,
         terminal=terminal,
         remark=remark,
-        nominal=loop.simulate(start, steps),
-        disturbed=loop.simulate(np.tile(start, (TRAJECTORIES, 1)), steps, _draws(loop, steps, settings["seed"])),
+        nominal=nominal,
+        disturbed=disturbed,
         plant=subject.plant and _plant_path(subject.plant, loop.network, start, steps),
         seconds=seconds,
     )
@@ -400,7 +401,7 @@ def _terminal(base, loop, safe_count, count, epsilon, centre):
     return found, remark, perf_counter() - begin
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _equilibrium(loop):
     """The equilibrium, or None and why."""
     try:
@@ -417,12 +418,15 @@ def _plant_path(plant, network, start, steps):
     return np.array(path)
 
 
-def _draws(loop, steps, seed):
-    """Disturbances (N, steps, 2) that follow their set as it grows; a generator where modes have different sets."""
+def _trajectories(loop, start, steps, seed):
+    """The nominal trajectory (steps + 1, 2) and disturbed ones (N, steps + 1, 2), which follow D as it grows."""
     rng, D = np.random.default_rng(seed), loop.system.modes[0].disturbance
+    starts = np.tile(start, (TRAJECTORIES + 1, 1))
     if any(mode.disturbance is not D for mode in loop.system.modes):
-        return rng
-    return D.sample(rng, TRAJECTORIES * LONGEST).reshape(TRAJECTORIES, LONGEST, 2)[:, :steps]
+        return loop.simulate(start, steps), loop.simulate(starts[1:], steps, rng)
+    draws = D.sample(rng, TRAJECTORIES * LONGEST).reshape(TRAJECTORIES, LONGEST, 2)
+    paths = loop.simulate(starts, steps, np.concatenate([np.zeros((1, steps, 2)), draws[:, :steps]]))
+    return paths[0], paths[1:]
 
 
 # -- subjects -----------------------------------------------------------------------------------------
@@ -557,7 +561,7 @@ def _network_source(name, network):
     return [*lines, f'case = mr.case_study("{name}", network)']
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _loop(system, network):
     """One loop for one pair."""
     return ClosedLoop(system, network)

@@ -40,7 +40,7 @@ class ClosedLoop:
             raise ValueError(f"the network has {net.input_size} inputs, but x has {system.state_size} entries")
         if net.output_size != system.input_size:
             raise ValueError(f"the network has {net.output_size} outputs, but u has {system.input_size} entries")
-        require_inputs(self, system.state_set.sample(np.random.default_rng(0), 200))
+        require_inputs(net, system.input_set, system.state_set.sample(np.random.default_rng(0), 200))
 
     def with_disturbance(self, disturbance):
         """The same loop with other disturbance sets (one Polytope, or one a mode)."""
@@ -71,8 +71,8 @@ class ClosedLoop:
         outside = self._outside(states)
         if outside.any():
             raise ValueError(f"x = {states[outside][0].tolist()} lies outside the state set; the dynamics end there")
-        after = self._advance(states, self._modes(states)) + (0.0 if d is None else np.asarray(d, float))
-        return after.reshape(x.shape)
+        after, _ = self._advance(states)
+        return (after + (0.0 if d is None else np.asarray(d, float))).reshape(x.shape)
 
     def simulate(self, x0, steps, disturbances=None):
         """Trajectories of the loop.
@@ -106,17 +106,17 @@ class ClosedLoop:
         for k in range(steps):
             alive = np.flatnonzero(~self._outside(trajectory[:, k]))
             now = trajectory[alive, k]
-            modes = self._modes(now)
+            after, modes = self._advance(now)
             if disturbances is None:
                 d = 0.0
             elif isinstance(disturbances, np.random.Generator):
                 d = self._draw(modes, disturbances)
             else:
                 d = disturbances[alive, k]
-            trajectory[alive, k + 1] = self._advance(now, modes) + d
+            trajectory[alive, k + 1] = after + d
         return trajectory.reshape(*x0.shape[:-1], steps + 1, -1)
 
-    def equilibrium(self, start=None, steps=500, tries=50):
+    def equilibrium(self, start=None, steps=100, tries=50):
         """A fixed point x = f_PWA(x, Phi(x)) of the nominal loop, stable or not.
 
         Parameters
@@ -152,7 +152,7 @@ class ClosedLoop:
             while not self._outside(x[None])[0]:
                 if np.abs(self.step(x) - x).max() < 1e-11 * (1 + np.abs(x).max()):
                     return x
-                mode = self.system.modes[self._modes(x[None])[0]]
+                mode = self.system.modes[self._advance(x[None])[1][0]]
                 K, g = self.network.affine_piece(x)
                 if (mode, K.tobytes(), g.tobytes()) in pieces:  # back on a piece that has sent the search away
                     break
@@ -169,17 +169,16 @@ class ClosedLoop:
     def _outside(self, x):
         return ~(np.isfinite(x).all(axis=-1) & self.system.state_set.contains(np.nan_to_num(x), tol=OUTSIDE))
 
-    def _modes(self, x):
-        """Index of the first mode whose region contains (x, Phi(x)) for x (N, n); the nearest if rounding hid it."""
-        return self.system.violation(x, self.network(x)).argmin(axis=-1) if len(x) else np.zeros(0, int)
+    def _advance(self, x):
+        """Nominal successors of states (N, n), and the mode of each: the first whose region contains (x, Phi(x)).
 
-    def _advance(self, x, modes):
-        """Nominal successors of states (N, n) in the given modes (N,)."""
-        u, after = self.network(x), np.empty_like(x)
-        for i, mode in enumerate(self.system.modes):
-            chosen = modes == i
-            after[chosen] = mode.successor(x[chosen], u[chosen])
-        return after
+        Where rounding has put a point outside all regions, the nearest one acts.
+        """
+        if not len(x):
+            return x, np.zeros(0, int)
+        u = self.network(x)
+        modes = self.system.violation(x, u).argmin(axis=-1)
+        return self.system.successor(x, u, modes), modes
 
     def _draw(self, modes, rng):
         """One random disturbance for each entry of `modes`, from its mode's set."""
@@ -190,11 +189,10 @@ class ClosedLoop:
         return d
 
 
-def require_inputs(loop, states, tol=1e-9):
+def require_inputs(network, input_set, states, tol=1e-9):
     """Raise ValueError if Phi leaves U at one of `states` (N, n); `tol` in units of u, for rounding."""
-    U = loop.system.input_set
-    inputs = loop.network(states)
-    excess = (inputs @ U.H.T - U.h).max(axis=-1)
+    inputs = network(states)
+    excess = (inputs @ input_set.H.T - input_set.h).max(axis=-1)
     worst = int(np.argmax(excess))
     if excess[worst] > tol:
         raise ValueError(

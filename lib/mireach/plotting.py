@@ -12,7 +12,8 @@ try:
 except ImportError as missing:
     raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
 
-GREEN, BLUE, RED, BLACK, GREY, ORANGE = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A", "#E69F00"
+GREEN, BLUE, RED, BLACK, GREY = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A"
+ORANGE, PURPLE = "#E69F00", "#CC79A7"
 SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
 TERMINAL = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
 EARLIER = {"facecolor": "none", "edgecolor": GREEN, "linewidth": 0.7, "linestyle": (0, (5, 3))}
@@ -209,7 +210,7 @@ def plot_look(ax, look, title=None):
         draw_set(ax, terminal.set, **TERMINAL, label=r"$\overline{\mathcal{R}}_{\min}$", zorder=2)
     ax.plot(*look.nominal.T, color=BLACK, linewidth=1.2, marker=".", markersize=3, label="nominal", zorder=3)
     if look.plant is not None:
-        ax.plot(*look.plant.T, color=ORANGE, linestyle="--", linewidth=1.2, label="the plant itself", zorder=3)
+        ax.plot(*look.plant.T, color=PURPLE, linestyle="--", linewidth=1.6, label="the plant itself", zorder=3)
     if safe.witness is not None:
         path = safe.witness.states.T
         ax.plot(*path, color=RED, linewidth=2.2, label=r"a step that leaves $\mathcal{X}$", zorder=4)

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -166,10 +166,39 @@ class PWASystem:
         array (N, s)
             0 where the closed region contains the point.
         """
-        point = np.concatenate([x, u], axis=-1)
-        return np.stack(
-            [np.maximum((point @ mode.region.H.T - mode.region.h).max(axis=-1), 0) for mode in self.modes], axis=-1
-        )
+        H, h, starts = self._rows
+        excess = np.concatenate([x, u], axis=-1) @ H.T - h
+        return np.maximum.reduceat(excess, starts, axis=-1)
+
+    def successor(self, x, u, modes):
+        """A x + B u + p of the given modes, without disturbance.
+
+        Parameters
+        ----------
+        x : array (N, n)
+        u : array (N, m)
+        modes : array (N,) of int
+            Which mode acts on each state, counted from 0.
+
+        Returns
+        -------
+        array (N, n)
+        """
+        A, B, p = self.maps
+        return np.einsum("tij,tj->ti", A[modes], x) + np.einsum("tij,tj->ti", B[modes], u) + p[modes]
+
+    @cached_property
+    def _rows(self):
+        """The rows of all regions, each region begun by 0 (x, u) <= 0: H, h, and where each of them begins."""
+        regions = [mode.region for mode in self.modes]
+        H = [np.vstack([np.zeros(region.dimension), region.H]) for region in regions]
+        h = [np.append(0.0, region.h) for region in regions]
+        return np.vstack(H), np.concatenate(h), np.cumsum([0, *map(len, h[:-1])])
+
+    @cached_property
+    def maps(self):
+        """A (s, n, n), B (s, n, m) and p (s, n) of all modes."""
+        return tuple(np.array([getattr(mode, name) for mode in self.modes]) for name in "ABp")
 
 
 @dataclass(frozen=True, eq=False)

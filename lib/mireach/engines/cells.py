@@ -143,7 +143,7 @@ def support(loop, F, V, steps=1):
     """
     V, steps = checked_query(loop, F, V, steps)
     every = _loop_cells(loop)
-    spread = _disturbance_supports(loop, V)
+    rows = _rows(loop, every, V.shape, V.tobytes())
     pieces = [(F, ())]
     for step in range(steps - 1):
         pieces = [image for piece, chain in pieces for image in _images(every, piece, loop, chain)]
@@ -154,14 +154,13 @@ def support(loop, F, V, steps=1):
             )
     value, ends = np.full(len(V), -np.inf), [None] * len(V)
     for piece, chain in pieces:
-        highest, cell = _highest(every, piece, V, spread)
+        highest, cell = _highest(every, piece, rows)
         for k in np.flatnonzero(highest > value):
             value[k], ends[k] = highest[k], (piece, chain, cell[k])
     if not np.isfinite(value).all():
         return empty_support(len(V))
     witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *ends[k]))
-    unit = every.unit * 2.0 ** np.floor(np.log2(np.linalg.norm(V, axis=1, ord=2).clip(1)))
-    return Support(value, np.ceil(value / unit + 0.05) * unit, witness)
+    return Support(value, np.ceil(value / rows.unit + 0.05) * rows.unit, witness)
 
 
 # -- building the cells -------------------------------------------------------------------------------
@@ -172,19 +171,22 @@ def _loop_cells(loop):
     """Cells and nominal dynamics of a loop, after the checks that `cells` promises."""
     if loop.system.state_size != 2:
         raise ValueError(f'the cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
-    found = _cells(loop.network, tuple(mode.region for mode in loop.system.modes), loop.system.state_set)
-    require_inputs(loop, found.polygons.points)
-    A, B, p = (np.array([getattr(mode, name) for mode in loop.system.modes])[found.mode] for name in "ABp")
+    system = loop.system
+    found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set, system.input_set)
+    A, B, p = (maps[found.mode] for maps in system.maps)
     every = LoopCells(found, A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p, 0.0)
     images = every.images(found.polygons.points, found.polygons.owner)
-    limits = [mode.disturbance.bounding_box() for mode in loop.system.modes]
+    limits = [mode.disturbance.bounding_box() for mode in system.modes]
     size = max(_size(found.polygons.points), _size(images), _size(np.array(limits)))
     return replace(every, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
 
 
 @lru_cache(maxsize=128)
-def _cells(network, regions, state_set):
-    """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u)."""
+def _cells(network, regions, state_set, input_set):
+    """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u).
+
+    Raises ValueError if the network leaves U at a vertex of them.
+    """
     n = 2
     found = Cells(
         Polygons.of([state_set.vertices()] * len(regions)),
@@ -194,7 +196,9 @@ def _cells(network, regions, state_set):
     )
     found = _cut_by_regions(found, regions, with_input=False)
     found = _cut_by_network(found, network)
-    return _cut_by_regions(found, regions, with_input=True)
+    found = _cut_by_regions(found, regions, with_input=True)
+    require_inputs(network, input_set, found.polygons.points)
+    return found
 
 
 def _cut_by_regions(found, regions, with_input):
@@ -298,42 +302,48 @@ def _size(points):
 # -- asking -------------------------------------------------------------------------------------------
 
 
-def _disturbance_supports(loop, V):
-    """h of D^(i) along V for every mode: (s, k)."""
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """What does not depend on F, for the rows v of V.
+
+    Attributes
+    ----------
+    V : array (k, 2)
+    heights : array (N, k)
+        Largest v x+ without disturbance over each cell.
+    spread : array (s, k)
+        h of D^(i).
+    unit : array (k,)
+        Bounds are rounded up to multiples of it.
+    """
+
+    V: np.ndarray
+    heights: np.ndarray
+    spread: np.ndarray
+    unit: np.ndarray
+
+
+@lru_cache(maxsize=32)
+def _rows(loop, every, shape, content):
+    """The _Rows of an array of this shape and content."""
+    V, polygons = np.frombuffer(content).reshape(shape).copy(), every.cells.polygons
     known = {}
     for mode in loop.system.modes:
         if mode.disturbance not in known:
             known[mode.disturbance] = mode.disturbance.support(V)
-    return np.array([known[mode.disturbance] for mode in loop.system.modes])
-
-
-@lru_cache(maxsize=16)
-def _heights(every, shape, rows):
-    """Largest v x+ without disturbance over each cell, for the rows v of V: (N, k)."""
-    polygons = every.cells.polygons
-    return polygons.largest(every.images(polygons.points, polygons.owner) @ np.frombuffer(rows).reshape(shape).T)
-
-
-def _highest(every, F, V, spread):
-    """max v x+ over the states of F, for the rows v of V, and the cell in which it is attained: (k,) and (k,)."""
-    found, polygons = every.cells, every.cells.polygons
-    norms = np.linalg.norm(F.H, axis=1)
-    norms[norms == 0] = 1
-    heights = _heights(every, V.shape, V.tobytes())
-    return highest(
-        polygons.points,
-        polygons.starts,
-        *polygons.discs,
-        every.M,
-        every.c,
-        found.mode,
-        heights,
-        spread,
-        F.H / norms[:, None],
-        F.h / norms,
-        TOUCH * found.size,
-        np.array(V),
+    return _Rows(
+        V,
+        polygons.largest(every.images(polygons.points, polygons.owner) @ V.T),
+        np.array([known[mode.disturbance] for mode in loop.system.modes]),
+        every.unit * 2.0 ** np.floor(np.log2(np.linalg.norm(V, axis=1).clip(1))),
     )
+
+
+def _highest(every, F, rows):
+    """max v x+ over the states of F, for the rows v of V, and the cell in which it is attained: (k,) and (k,)."""
+    polygons, mode, touch = every.cells.polygons, every.cells.mode, TOUCH * every.cells.size
+    shape = (polygons.points, polygons.starts, *polygons.discs)
+    return highest(*shape, every.M, every.c, mode, rows.heights, rows.spread, F.H, F.h, touch, rows.V)
 
 
 def _images(every, F, loop, chain):

@@ -289,7 +289,7 @@ def _require_inputs(lp, loop, x, u, deltas, bounds):
     for r in open_rows:
         _, point, _ = _solve(model, U.H[r])
         if point is not None:  # None: no state gets here
-            require_inputs(loop, point[x][None], tol=tol[r])
+            require_inputs(loop.network, loop.system.input_set, point[x][None], tol=tol[r])
     _relax_binaries(model)
 
 

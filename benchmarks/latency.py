@@ -1,0 +1,112 @@
+"""How fast the disturbance lab follows the hand: python benchmarks/latency.py [--quick]
+
+Two figures a case, printed as a Markdown table. *Computation*: `lab.look`, for values of each slider over its whole
+range, the other controls at random. *On the screen*: from the input event of a slider to the frame after the new
+picture, in JupyterLab in a headless Chromium (left out where there is none). Nothing here is asserted.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+import nbformat
+import numpy as np
+
+from mireach import lab
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+import browser
+
+MOVES = """
+async (root) => {
+  const slider = root.querySelector('.controls input[type=range]');
+  const frame = () => new Promise(requestAnimationFrame);
+  const waits = [];
+  for (let k = 0; k < COUNT; k++) {
+    const stamp = root.dataset.stamp, low = Number(slider.min), high = Number(slider.max);
+    slider.value = low + (high - low) * ((k * 0.61803398875) % 1);
+    const begin = performance.now();
+    slider.dispatchEvent(new Event('input'));
+    while (root.dataset.stamp === stamp) await frame();
+    await frame();
+    waits.push(performance.now() - begin);
+    await new Promise((resolve) => setTimeout(resolve, 60));
+  }
+  return waits;
+}
+"""
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
+    parser.add_argument("--quick", action="store_true", help="a tenth of the moves")
+    count = 20 if parser.parse_args().quick else 200
+    print("| lab | moves | median | 95th percentile | largest | unit |\n| --- | ---: | ---: | ---: | ---: | --- |")
+    for name in ("pwa", "double_integrator"):
+        row(f"{name}: computation", computation(name, count))
+        if browser.chromium():
+            row(f"{name}: on the screen", on_the_screen(name, count))
+    if not browser.chromium():
+        print("\nNo Chromium was found: the time until the picture is on the screen was left out.")
+
+
+def computation(name, count):
+    """Milliseconds of `lab.look`: each slider over its whole range, the rest at random."""
+    subject, rng = lab.subject(name), np.random.default_rng(0)
+    sliders = [control for control in subject.controls if control.slider and not control.choices]
+    warm_up(subject)
+    spent = []
+    for control in sliders:
+        for value in np.linspace(control.low, control.high, count // len(sliders) + 2):
+            settings = {other.name: draw(other, rng) for other in subject.controls} | {control.name: float(value)}
+            begin = perf_counter()
+            lab.look(subject, settings)
+            spent.append(1e3 * (perf_counter() - begin))
+    return spent
+
+
+def warm_up(subject):
+    """Build the cells of every network and fit, as the lab does while the hand rests."""
+    names = [name for name in ("network", "regions", "shape") if subject.control(name)]
+    choices = [values(subject.control(name)) for name in names]
+    for chosen in np.stack(np.meshgrid(*[range(len(c)) for c in choices]), axis=-1).reshape(-1, len(names)):
+        settings = {name: c[i] for name, c, i in zip(names, choices, chosen)}
+        lab.look(subject, settings | {"centre": "equilibrium"})
+
+
+def values(control):
+    """All values of a choice or of a whole number."""
+    return list(control.choices) or list(range(int(control.low), int(control.high) + 1))
+
+
+def draw(control, rng):
+    """A random value of a control."""
+    return str(rng.choice(list(control.choices))) if control.choices else float(rng.uniform(control.low, control.high))
+
+
+def on_the_screen(name, count):
+    """Milliseconds from the slider's event to the frame after its picture, in JupyterLab."""
+    notebook = nbformat.v4.new_notebook(
+        cells=[nbformat.v4.new_code_cell(f"from mireach import widgets\nwidgets.DisturbanceLab({name!r})")],
+        metadata={"kernelspec": {"name": "python3", "display_name": "Python 3 (ipykernel)", "language": "python"}},
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        nbformat.write(notebook, Path(folder) / "lab.ipynb")
+        with browser.jupyterlab(Path(folder)) as address, browser.page() as tab:
+            browser.open_notebook(tab, address, "lab.ipynb")
+            root = tab.locator(browser.LAB).first
+            tab.wait_for_function("root => root.dataset.largest", arg=root.element_handle(), timeout=browser.KERNEL)
+            tab.wait_for_timeout(20_000)  # the idle work: cells of the other networks and fits
+            return root.evaluate(MOVES.replace("COUNT", str(count)))
+
+
+def row(label, milliseconds):
+    """Print one row."""
+    middle, high, largest = np.percentile(milliseconds, [50, 95, 100])
+    print(f"| {label} | {len(milliseconds)} | {middle:.0f} | {high:.0f} | {largest:.0f} | ms |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
