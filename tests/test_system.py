@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from loops import cut_regions
+from loops import cut_regions, random_loop
 
 from mireach import Mode, NonlinearSystem, Polytope, PWASystem
 from mireach.errors import MireachError
@@ -151,3 +151,16 @@ def test_bad_arguments_are_named(make, words):
         make()
     assert all(word in str(error.value) for word in words), str(error.value)
     assert not isinstance(error.value, MireachError)
+
+
+def test_maps_and_regions_of_all_modes_at_once():
+    rng = np.random.default_rng(0)
+    loop = random_loop(5, cuts=3, with_input=True)
+    system, x = loop.system, loop.system.state_set.sample(rng, 50)
+    u, modes = rng.normal(size=(50, 1)), rng.integers(0, len(system.modes), 50)
+    wanted = [system.modes[i].successor(x[t], u[t]) for t, i in enumerate(modes)]
+    np.testing.assert_allclose(system.successor(x, u, modes), wanted, atol=1e-12)
+    for region, mode in zip(system.state_regions(), system.modes):
+        of_x = mode.region.H[:, 2] == 0
+        inside = (x @ mode.region.H[of_x, :2].T <= mode.region.h[of_x]).all(axis=1) & system.state_set.contains(x)
+        assert region.contains(x).tolist() == inside.tolist()

@@ -70,7 +70,7 @@ def polygon(H, h, parallel, tol):
 
 @njit(cache=True)
 def around(points):
-    """Points (k, 2) of the plane by angle about their mean, counter-clockwise, and none that is not extreme."""
+    """Points (k, 2) on the boundary of a convex set, counter-clockwise, without those between two others."""
     count = len(points)
     if count < 3:
         return points

@@ -1,0 +1,122 @@
+"""The compiled loops against brute force over all pairs of rows, and against scipy's linear programs."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
+
+from mireach.compiled import around, highest, polygon
+from mireach.polygons import Polygons
+
+PARALLEL, TOL = 1e-12, 1e-11
+
+
+def readonly(array):
+    """As the arrays of a Polytope are."""
+    array = np.array(array, float)
+    array.setflags(write=False)
+    return array
+
+
+def vertices(H, h):
+    return polygon(readonly(H), readonly(h), PARALLEL, TOL)
+
+
+def support_by_lp(H, h, v):
+    found = linprog(-np.asarray(v), A_ub=H, b_ub=h, bounds=(None, None))
+    return -found.fun if found.status == 0 else None
+
+
+def random_rows(rng, count):
+    angles = np.sort(rng.uniform(0, 2 * np.pi, count))
+    return np.column_stack([np.cos(angles), np.sin(angles)]) * rng.uniform(0.1, 3, (count, 1))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_vertices_have_the_support_of_the_rows_and_go_around(seed):
+    rng = np.random.default_rng(seed)
+    H = random_rows(rng, rng.integers(3, 14))
+    h = H @ rng.normal(size=2) + rng.uniform(0, 2, len(H)) * np.linalg.norm(H, axis=1)
+    H = np.vstack([H, H[:2], np.zeros((1, 2))])  # two rows twice, and 0 x <= 1/2
+    h = np.array([*h, h[0], h[1] + 1, 0.5])
+    found = vertices(H, h)
+    V = rng.normal(size=(12, 2))
+    wanted = [support_by_lp(H, h, v) for v in V]
+    if None in wanted:
+        assert not len(found)
+        return
+    np.testing.assert_allclose((V @ found.T).max(axis=1), wanted, atol=1e-7)
+    edges = np.roll(found, -1, axis=0) - found
+    turns = edges[:, 0] * np.roll(edges, -1, axis=0)[:, 1] - edges[:, 1] * np.roll(edges, -1, axis=0)[:, 0]
+    assert (turns > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("H", "h"),
+    [
+        ([[1, 0], [-1, 0], [0, 1], [0, -1]], [1, -2, 1, 1]),  # empty
+        ([[1, 0], [-1, 0]], [1, 1]),  # a strip
+        ([[1, 0], [0, 1]], [1, 1]),  # a corner
+        ([[1, 0], [-1, 0], [0, 1], [0, -1], [0, 0]], [1, 1, 1, 1, -1]),  # 0 <= -1
+        ([[0, 0]], [1]),  # the plane
+    ],
+)
+def test_sets_without_vertices_give_none(H, h):
+    assert not len(vertices(H, h))
+
+
+def test_points_and_segments_are_sets():
+    H = [[1, 0], [-1, 0], [0, 1], [0, -1]]
+    np.testing.assert_array_equal(vertices(H, [2, -2, 3, -3]), [[2, 3]])
+    segment = vertices([*H, [1, 1]], [2, 1, 3, -3, 100])
+    assert sorted(map(tuple, segment.tolist())) == [(-1, 3), (2, 3)]
+
+
+def test_around_leaves_out_what_is_not_extreme():
+    square = np.array([[0, 0], [1, 1], [0.5, 0.0], [1, 0], [0, 1]], float)
+    turns = [np.roll([[0, 0], [1, 0], [1, 1], [0, 1]], k, axis=0).tolist() for k in range(4)]
+    assert around(square).tolist() in turns
+    line = np.array([[0, 0], [2, 2], [1, 1], [0.3, 0.3]])
+    assert sorted(map(tuple, around(line).tolist())) == [(0, 0), (2, 2)]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_highest_point_of_cut_polygons(seed):
+    """max v (M x + c) + spread over each polygon and {H x <= h}, by one linear program a polygon."""
+    rng = np.random.default_rng(seed)
+    count, V = 6, rng.normal(size=(5, 2))
+    clouds = [rng.normal(size=(9, 2)) + rng.normal(size=2) for _ in range(count)]
+    hulls = [cloud[ConvexHull(cloud).vertices] for cloud in clouds]
+    hulls += [np.array([[0.5, 0.5], [2.0, -1.0]]), np.array([[0.1, -0.2]])]
+    polygons, count = Polygons.of(hulls), len(hulls)
+    M, c, mode = rng.normal(size=(count, 2, 2)), rng.normal(size=(count, 2)), rng.integers(0, 2, count)
+    spread, H = rng.uniform(0, 1, (2, 5)), random_rows(rng, 6)
+    h = rng.uniform(-0.2, 2, 6) * np.linalg.norm(H, axis=1)
+    heights = np.array([((hull @ M[j].T + c[j]) @ V.T).max(axis=0) for j, hull in enumerate(hulls)])
+    value, owner = highest(
+        polygons.points, polygons.starts, *polygons.discs, M, c, mode, heights, spread, readonly(H), readonly(h), TOL, V
+    )
+    wanted = np.full((count, 5), -np.inf)
+    for j, hull in enumerate(hulls):
+        for k, v in enumerate(V):  # x = hull' w with weights w >= 0 that add up to 1
+            best = linprog(
+                -(hull @ M[j].T @ v), A_ub=H @ hull.T, b_ub=h, A_eq=np.ones((1, len(hull))), b_eq=[1], bounds=(0, None)
+            )
+            if best.status == 0:
+                wanted[j, k] = -best.fun + v @ c[j] + spread[mode[j], k]
+    np.testing.assert_allclose(value, wanted.max(axis=0), atol=1e-8)
+    if np.isfinite(value).all():
+        np.testing.assert_allclose(wanted[owner, range(5)], value, atol=1e-8)
+
+
+def test_every_pair_of_rows_may_make_a_vertex():
+    """A regular polygon with many rows: all its vertices, each once."""
+    angles = 2 * np.pi * np.arange(32) / 32
+    H = np.column_stack([np.cos(angles), np.sin(angles)])
+    found = vertices(H, np.ones(32))
+    pairs = [np.linalg.solve(H[[i, j]], np.ones(2)) for i, j in combinations(range(32), 2) if (j - i) in (1, 31)]
+    assert len(found) == 32
+    for point in pairs:
+        assert np.abs(found - point).max(axis=1).min() < 1e-9
