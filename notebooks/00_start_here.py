@@ -214,10 +214,13 @@ for condition, holds in answer.conditions.items():
 # | 09_case_study_double_integrator | the second case study, set by set | ex09 |
 # | 10_beyond_the_paper | exact cells, other centres, tighter errors, many networks | |
 # | 11_your_own_system | your own plant and your own torch network | |
+# | 12_disturbance_lab | drag the disturbance and watch the sets follow | |
+# | 13_the_maximal_safe_set | the set that the paper calls out of reach, by going backwards | ex10 |
 #
 # The notebooks 01 to 04 build on each other. 05 and 06 belong together, and so do 07, 08 and 09; 11 needs only this
-# page. `python3 run.py exercises` puts your copies of the exercises into `notebooks/exercises/release/`. Sliders need
-# a running kernel; every slider stands below a static figure that shows the same.
+# page, 12 and 13 need 06 and 09. `python3 run.py exercises` puts your copies of the exercises into
+# `notebooks/exercises/release/`. Sliders need a running kernel; every slider stands below a static figure that shows
+# the same.
 
 # %% [markdown]
 # **What you saw.** A few calls turn a system and a network into a proof: a set that is never left, a set that is
