@@ -17,7 +17,7 @@ def main(arguments=None):
     task = tasks.add_parser("reproduce", parents=[quiet], help="both case studies: figures, report, table")
     task.add_argument("--results", default="results", help="folder of report.json and report.md")
     task.add_argument("--figures", default="docs/figures", help="folder of the figures")
-    task.add_argument("--engine", choices=["cells", "milp", "cvxpy"], help="default: cells")
+    task.add_argument("--engine", choices=["cells", "milp", "exact", "cvxpy"], help="default: cells")
     task.add_argument("--no-cross-check", action="store_true", help="leave out the comparison with the MILP")
     task.set_defaults(run=_reproduce)
 

@@ -74,14 +74,19 @@ class LoopCells:
     cells : Cells
     M : array (N, 2, 2)
     c : array (N, 2)
-    unit : float
-        Bounds are rounded up to multiples of this power of two, the same for all sets of the loop.
+    size : float
+        Largest coordinate of X, its image and the disturbance sets, at least 1: what tolerances are relative to.
     """
 
     cells: Cells
     M: np.ndarray
     c: np.ndarray
-    unit: float
+    size: float
+
+    @property
+    def unit(self):
+        """Bounds are rounded up to multiples of this power of two, the same for all sets of the loop."""
+        return ROUNDING * 2.0 ** np.ceil(np.log2(self.size))
 
     def images(self, part, index):
         """M x + c at all vertices of the Polygons `part`, which lie in the cells `index`: array (T, 2)."""
@@ -108,7 +113,7 @@ def cells(loop):
         If the loop has not two states, or Phi leaves U somewhere in X (checked at every vertex, which
         for an affine piece decides it).
     """
-    return _loop_cells(loop).cells
+    return loop_cells(loop).cells
 
 
 def support(loop, F, V, steps=1):
@@ -137,7 +142,7 @@ def support(loop, F, V, steps=1):
         If the loop has not two states, or the reachable set falls into too many pieces.
     """
     V, steps = checked_query(loop, F, V, steps)
-    every = _loop_cells(loop)
+    every = loop_cells(loop)
     spread = _disturbance_supports(loop, V)
     value, ends = np.full(len(V), -np.inf), [None] * len(V)
     pieces = [(F, ())]
@@ -168,8 +173,8 @@ def support(loop, F, V, steps=1):
 
 
 @lru_cache(maxsize=32)
-def _loop_cells(loop):
-    """Cells and nominal dynamics of a loop, after the checks that `cells` promises."""
+def loop_cells(loop):
+    """The cells of a loop with its nominal dynamics (LoopCells), after the checks that `cells` promises."""
     if loop.system.state_size != 2:
         raise ValueError(f'the cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
     found = _cells(loop.network, tuple(mode.region for mode in loop.system.modes), loop.system.state_set)
@@ -179,7 +184,7 @@ def _loop_cells(loop):
     images = every.images(found.polygons, np.arange(len(found)))
     limits = [mode.disturbance.bounding_box() for mode in loop.system.modes]
     size = max(_size(found.polygons.points), _size(images), _size(np.array(limits)))
-    return replace(every, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
+    return replace(every, size=size)
 
 
 @lru_cache(maxsize=32)
