@@ -197,9 +197,10 @@ def hulls(polygons, margin=0.0):
     if margin:
         corners = margin * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
         points, owner = (points[:, None] + corners).reshape(-1, 2), np.repeat(owner, 4)
-    lines = shapely.linestrings(
-        np.repeat(points, 2, axis=0), indices=np.repeat(owner, 2)
-    )  # a line of one point has two
+    if not len(points):
+        return np.zeros(0, object)
+    points, owner = np.repeat(points, 2, axis=0), np.repeat(owner, 2)  # shapely wants lines of at least two points
+    return shapely.convex_hull(shapely.linestrings(points, indices=owner))
 
 
 # -- parts --------------------------------------------------------------------------------------------
