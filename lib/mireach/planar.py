@@ -23,6 +23,8 @@ from .region import Region, hulls
 SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and far below what is seen in an area
 LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
 MOST_ITERATIONS = 500  # default of `max_iterations`
+MOST_TRIANGLES = 1_000  # that an S_k may fall into; a larger slack then ends a boundary of ever more corners sooner
+COARSER = 4  # powers of 10 by which the slack may grow
 ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
 
 
@@ -149,8 +151,8 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
     Notes
     -----
     What is proven: `set` is RPI. `prove_rpi` shows that without rounding and without any of the code below.
-    If it fails, 10 and 100 times the slack are tried, and then none at all, which suits sets that fit by a
-    hair; `slack` and `reason` say so.
+    If it fails, or the boundary of S_k has ever more corners, up to 10^4 times the slack is tried, and then none
+    at all, which suits sets that fit by a hair; `slack`, `reason` and `given_up` say so.
 
     What rests on floats: that `outer` holds every RPI set, and so that X holds none where it is empty. There
     the iteration removes only states that are lost with a margin: lost sets are shrunk by the slack before
@@ -170,22 +172,18 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
         reason = "X holds no RPI set: every state of it can be driven out of it"
         return MaximalSafeSet(None, outer, 0, [Region.of(loop.system.state_set)], "refuted", reason, slack)
     failures = []
-    for tried in (slack, 10 * slack, 100 * slack, 0.0):
-        history, settled = _shrink(loop, every, tried * every.size, max_iterations)
-        S = history[-1]
-        if not settled:
-            failures.append(f"max_iterations = {max_iterations} came first")
-            break
-        if S.is_empty:
-            failures.append(f"with slack {tried:g} nothing is left")
+    for tried in (*(slack * 10.0**power for power in range(COARSER + 1)), 0.0):
+        history, unfinished = _shrink(loop, every, tried * every.size, max_iterations)
+        if unfinished or history[-1].is_empty:
+            failures.append(f"with slack {tried:g} {unfinished or 'nothing is left'}")
             continue
-        found = S, outer, len(history) - 1, history
+        found = history[-1], outer, len(history) - 1, history
         if not prove:
-            return MaximalSafeSet(*found, "unknown", "not proven, for prove = False", tried)
-        check = prove_rpi(loop, S)
+            return MaximalSafeSet(*found, "unknown", "; ".join([*failures, "not proven, for prove = False"]), tried)
+        check = prove_rpi(loop, history[-1])
         if check.verdict == "proven":
             return MaximalSafeSet(*found, "proven", "; ".join([*failures, check.reason]), tried)
-        failures.append(f"with slack {tried:g}: {check.reason}")
+        failures.append(f"with slack {tried:g} {check.reason}")
     return MaximalSafeSet(None, outer, len(history) - 1, history, "unknown", "; ".join(failures), tried)
 
 
@@ -358,15 +356,15 @@ def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, 
 def _has_safe_region(loop):
     """Whether the iteration of `maximal_safe_set` comes to rest before nothing is left."""
     every = loop_cells(loop)
-    history, settled = _shrink(loop, every, SLACK * every.size, MOST_ITERATIONS)
-    return settled and not history[-1].is_empty
+    history, unfinished = _shrink(loop, every, SLACK * every.size, MOST_ITERATIONS)
+    return not unfinished and not history[-1].is_empty
 
 
 # -- backwards ----------------------------------------------------------------------------------------
 
 
 def _shrink(loop, every, slack, max_iterations):
-    """S_0, S_1, ..., and whether the last of them has settled.
+    """S_0, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
 
     `slack` (units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
     negative for a set around it: only what is lost by more than that carries on. At 0 there is no margin.
@@ -374,27 +372,30 @@ def _shrink(loop, every, slack, max_iterations):
     groups = {}
     for number, mode in enumerate(loop.system.modes):
         groups.setdefault(mode.disturbance, []).append(number)
-    groups = [(D, np.flatnonzero(np.isin(every.cells.mode, modes))) for D, modes in groups.items()]
-    lost = [_lost_outside(every, chosen, D, loop.system.state_set, slack) for D, chosen in groups]
+    groups = [(D, np.isin(every.cells.mode, modes)) for D, modes in groups.items()]
+    shapes = hulls(every.cells.polygons)
+    lost = [_lost_outside(every, np.flatnonzero(own), D, loop.system.state_set, slack) for D, own in groups]
     S = Region.of(_inset(loop.system.state_set, max(slack, 0.0)))
     history = [S]
     for _ in range(max_iterations):
-        gone = _union(lost, slack)
+        gone = _union(lost, S, slack)
         following = Region(_with_area(shapely.difference(S.shape, gone)))
         fresh = Region(_with_area(shapely.intersection(S.shape, gone)))
         if _is_thin(fresh, S, abs(slack)):
-            if fresh.area:
-                history.append(following)
-            return history, True
+            return [*history, following] if fresh.area else history, ""
         history.append(following)
         if following.is_empty:
-            return history, True
+            return history, ""
+        if len(following.simplices) > MOST_TRIANGLES:
+            return history, f"S_{len(history) - 1} has more than {MOST_TRIANGLES} triangles"
         if slack < 0:
             fresh = S.sum(_square(-slack)) - following.sum(_square(-slack))
-        targets = Region(_with_area(fresh.shape)).pieces.points.reshape(-1, 3, 2)
-        lost = [_lost_into(every, chosen, D, targets, max(slack, 0.0)) for D, chosen in groups]
+        targets = Region(_with_area(fresh.shape)).simplices.points.reshape(-1, 3, 2)
+        shapely.prepare(following.shape)
+        alive = shapely.dwithin(following.shape, shapes, abs(slack))
+        lost = [_lost_into(every, np.flatnonzero(own & alive), D, targets, max(slack, 0.0)) for D, own in groups]
         S = following
-    return history, False
+    return history, f"max_iterations = {max_iterations} came first"
 
 
 def _lost_outside(every, chosen, D, X, slack):
@@ -418,7 +419,7 @@ def _lost_into(every, chosen, D, targets, slack):
     near = (cells.least(images)[:, None] <= ends).all(axis=2) & (cells.largest(images)[:, None] >= starts).all(axis=2)
     which, target = np.nonzero(near)
     own, corners = _normals(targets), D.vertices()
-    others = np.vstack([np.eye(2), -np.eye(2), -D.H[(D.H != 0).any(axis=1)]])
+    others = np.unique(np.vstack([np.eye(2), -np.eye(2), -D.H[(D.H != 0).any(axis=1)]]) + 0.0, axis=0)
     A = np.concatenate([own, np.broadcast_to(others, (len(targets), *others.shape))], axis=1)
     b = np.einsum("trj,tvj->trv", A, targets).max(axis=2) + (-A @ corners.T).max(axis=2)
     b += slack * np.abs(A).sum(axis=2)
@@ -439,16 +440,14 @@ def _normals(triangles):
     return normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), np.finfo(float).tiny)
 
 
-def _union(lost, slack):
-    """The union of lost polygons, as a shapely geometry; flat ones count only for a set within the maximal one."""
-    margin = slack if slack > 0 else -ROUNDING * slack
-    shapes = [np.zeros(0, object)]
-    for polygons in lost:
-        if len(polygons):
-            if slack <= 0:
-                polygons = polygons.take(np.flatnonzero(shapely.get_dimensions(hulls(polygons)) == 2))
-            shapes.append(hulls(polygons, margin))
-    return shapely.union_all(np.concatenate(shapes))
+def _union(lost, S, slack):
+    """The union of those lost polygons that meet S; flat ones count only for a set within the maximal one."""
+    polygons = Polygons.join(lost)
+    if slack <= 0:
+        polygons = polygons.take(np.flatnonzero(shapely.get_dimensions(hulls(polygons)) == 2))
+    shapes = hulls(polygons, slack if slack > 0 else -ROUNDING * slack)
+    shapely.prepare(S.shape)
+    return shapely.union_all(shapes[shapely.intersects(S.shape, shapes)])
 
 
 def _is_thin(fresh, S, slack):
@@ -489,7 +488,7 @@ def _start(loop, F):
 
 def _image(loop, every, R):
     """R_1(R): the images of all parts of cells within R, each widened by the D of its mode."""
-    pieces, cells = R.pieces, every.cells.polygons
+    pieces, cells = R.simplices, every.cells.polygons
     touch = TOUCH * every.size
     starts, ends = pieces.least(pieces.points) - touch, pieces.largest(pieces.points) + touch
     near = (cells.least(cells.points)[:, None] <= ends).all(axis=2)

@@ -10,6 +10,8 @@ from .checks import real_array, require_columns, require_kind
 from .polygons import Polygons
 from .polytope import Polytope
 
+CERTAIN = 2.0**-50  # a turn is certain beyond this share of its two products, whose differences and products round
+
 
 @dataclass(frozen=True, eq=False)
 class Region:
@@ -125,16 +127,26 @@ class Region:
         return limits[:2], limits[2:]
 
     @cached_property
-    def pieces(self):
-        """Convex pieces whose union is the region, as Polygons: triangles, segments and points.
+    def simplices(self):
+        """Triangles, segments and points whose union is the region, as Polygons, the triangles first.
 
-        No corners are added: those of the pieces are corners of the region, as the floats they are.
+        No corners are added: those of the simplices are corners of the region, as the floats they are.
         """
         triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(_polygons(self.shape)))
-        triangles = shapely.get_parts(triangles)
         corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
-        segments, points = _flat_parts(self.shape)
-        return Polygons.of([*corners, *segments, *points])
+        return Polygons.of([*corners, *_flat_parts(self.shape)])
+
+    @cached_property
+    def pieces(self):
+        """Convex pieces whose union is the region, as Polygons: its simplices, of which neighbours are merged.
+
+        A side that two triangles share is left out where what results is convex beyond rounding (Hertel and
+        Mehlhorn): at most four times as many pieces as need be.
+        """
+        simplices = self.simplices
+        count = int((np.diff(simplices.starts) == 3).sum())
+        merged = _merged([simplices[i] for i in range(count)])
+        return Polygons.of([*merged, *(simplices[i] for i in range(count, len(simplices)))])
 
     # -- new regions ------------------------------------------------------------------------------
 
@@ -226,10 +238,46 @@ def _polygons(shape):
 
 
 def _flat_parts(shape):
-    """Segments, each (2, 2), and points, each (1, 2), of a shapely geometry."""
+    """The segments, each (2, 2), and then the points, each (1, 2), of a shapely geometry."""
     parts = shapely.get_parts(shapely.get_parts(shape))
     lines, points = (parts[shapely.get_dimensions(parts) == dimension] for dimension in (1, 0))
-    return list(_edges(lines)), list(shapely.get_coordinates(points)[:, None])
+    return [*_edges(lines), *shapely.get_coordinates(points)[:, None]]
+
+
+def _merged(triangles):
+    """Convex polygons, counter-clockwise, that triangles form when shared sides are left out, one after the other."""
+    rings = {}
+    for number, corners in enumerate(triangles):
+        ring = [tuple(corner) for corner in corners.tolist()]
+        if _turns_left(*ring):
+            rings[number] = ring
+        else:
+            rings[number] = ring[::-1]
+    owner = {(p, q): number for number, ring in rings.items() for p, q in zip(ring, ring[1:] + ring[:1])}
+    for p, q in list(owner):
+        one, other = owner.get((p, q)), owner.get((q, p))
+        if one is None or other is None or one == other:
+            continue
+        here, there = _from(rings[one], q), _from(rings[other], p)  # q ... p, and p ... q
+        if not (_turns_left(here[-2], p, there[1]) and _turns_left(there[-2], q, here[1])):
+            continue
+        ring = here + there[1:-1]
+        del rings[other], owner[p, q], owner[q, p]
+        rings[one] = ring
+        owner |= {side: one for side in zip(ring, ring[1:] + ring[:1])}
+    return [np.array(ring) for ring in rings.values()]
+
+
+def _from(ring, corner):
+    """A ring that begins at one of its corners."""
+    start = ring.index(corner)
+    return ring[start:] + ring[:start]
+
+
+def _turns_left(p, q, r):
+    """Whether p, q, r turn to the left by more than rounding can feign."""
+    left, right = (q[0] - p[0]) * (r[1] - q[1]), (q[1] - p[1]) * (r[0] - q[0])
+    return left - right > CERTAIN * (abs(left) + abs(right))
 
 
 def _edges(lines):

@@ -142,11 +142,13 @@ def first_escape(loop, pieces):
     """
     flint()
     hulls = [_hull([binary(corner) for corner in piece]) for piece in pieces]
+    limits = _decimal_rows(loop.system.state_set)
     for corners in hulls:
         for x in corners:
-            if any(_dot(a, x) > b for a, b in _decimal_rows(loop.system.state_set)):
+            if any(_dot(a, x) > b for a, b in limits):
                 return Escape(_fractions(x))
     sides, boxes = [_sides(corners) for corners in hulls], np.array([_box(corners) for corners in hulls])
+    others = list(zip(sides, boxes.tolist()))
     spread = disturbances(loop)
 
     def leaves(cell, part):
@@ -156,11 +158,11 @@ def first_escape(loop, pieces):
             y = cell.image(x)
             ends |= {(y[0] + d[0], y[1] + d[1]): (x, d) for d in spread[cell.mode]}
         image = _hull(list(ends))
-        rest = _less(image, [sides[j] for j in np.flatnonzero(_meeting(boxes, _box(image)))])
+        rest = _less(image, [others[j] for j in np.flatnonzero(_meeting(boxes, np.array(_box(image))))])
         return _escape(cell.mode, image, ends, rest) if rest else None
 
     for cell in cells(loop):
-        met = np.flatnonzero(_meeting(boxes, _box(cell.corners)))
+        met = np.flatnonzero(_meeting(boxes, np.array(_box(cell.corners))))
         if not len(met) or leaves(cell, cell.corners) is None:  # most cells stay in the set as a whole
             continue
         for i in met:
@@ -292,18 +294,22 @@ def _sides(corners):
 
 
 def _less(corners, others):
-    """A part, with interior relative to it, of a polygon less closed polygons that are given by their sides; or []."""
-    rest = [corners]
-    for sides in others:
+    """A part, with interior relative to it, of a polygon less closed polygons (sides, box); or []."""
+    rest = [(corners, _box(corners))]
+    for sides, (left, bottom, right, top) in others:
         following = []
-        for part in rest:
-            following += _less_one(part, sides)
+        for part, box in rest:
+            if box[0] > right or box[1] > top or box[2] < left or box[3] < bottom:
+                following.append((part, box))
+                continue
+            for piece in _less_one(part, sides):
+                following.append((piece, box if piece is part else _box(piece)))
         rest = following
         if len(rest) > MOST_PARTS:
             raise ArithmeticError(f"the rest of an image falls into more than {MOST_PARTS} parts")
         if not rest:
             return []
-    return rest[0]
+    return rest[0][0]
 
 
 def _less_one(part, sides):
@@ -321,11 +327,10 @@ def _less_one(part, sides):
 
 
 def _box(corners):
-    """A box (lower, upper) in floats that certainly holds the polygon: array (4,)."""
-    points = np.array([[_nearest(entry) for entry in x] for x in corners])
-    lower, upper = points.min(axis=0), points.max(axis=0)
-    around = AROUND * (1 + np.abs(points).max())
-    return np.concatenate([lower - around, upper + around])
+    """A box (left, bottom, right, top) in floats that certainly holds the polygon."""
+    x, y = [_nearest(point[0]) for point in corners], [_nearest(point[1]) for point in corners]
+    around = AROUND * (1 + max(abs(min(x)), abs(max(x)), abs(min(y)), abs(max(y))))
+    return min(x) - around, min(y) - around, max(x) + around, max(y) + around
 
 
 def _meeting(boxes, box):
