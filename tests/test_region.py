@@ -25,7 +25,7 @@ def test_a_frame_has_a_hole_and_its_corners():
     frame = mr.Region.of(SQUARE) - SMALL
     assert (frame.area, frame.holes, frame.components) == (12, 1, 1)
     assert frame.contains([[0.5, 0.5], [2, 2], [1, 2], [4, 4], [4.1, 4]]).tolist() == [True, False, True, True, False]
-    assert frame.contains([4.1, 4], tol=0.11) is True
+    assert frame.contains([4.1, 4], tol=0.11)
     lower, upper = frame.bounding_box()
     assert (lower.tolist(), upper.tolist()) == ([0, 0], [4, 4])
 

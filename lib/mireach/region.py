@@ -103,8 +103,8 @@ class Region:
         x = np.asarray(x, float)
         require_columns(x, 2, "x", "for a region lies in the plane")
         shapely.prepare(self.shape)
-        found = shapely.dwithin(self.shape, shapely.points(x), tol) if tol else shapely.intersects_xy(self.shape, x)
-        return bool(found) if x.ndim == 1 else found
+        points = shapely.points(x)
+        return shapely.dwithin(self.shape, points, tol) if tol else shapely.intersects(self.shape, points)
 
     def is_subset(self, other, tol=0.0):
         """Whether the region lies in another Region or Polytope, widened by the box |x|_inf <= tol (units of x)."""
