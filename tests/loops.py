@@ -264,7 +264,8 @@ def exactly_in_triangle(corners, x):
     """Whether a rational point is in the closed triangle with float corners (3, 2)."""
     corners = [[Fraction(value) for value in corner] for corner in corners.tolist()]
     turns = [
-        (q[0] - p[0]) * (x[1] - p[1]) - (q[1] - p[1]) * (x[0] - p[0]) for p, q in zip(corners, corners[1:] + corners[:1])
+        (q[0] - p[0]) * (x[1] - p[1]) - (q[1] - p[1]) * (x[0] - p[0])
+        for p, q in zip(corners, corners[1:] + corners[:1])
     ]
     return all(turn >= 0 for turn in turns) or all(turn <= 0 for turn in turns)
 

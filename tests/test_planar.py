@@ -1,5 +1,7 @@
 """The maximal safe set and exact reachable sets: against sampling, adversaries, a grid game, theory, and forgeries."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from loops import affine_loop, assert_escapes, evaluate, jump_loop, random_images, random_loop, random_successors
@@ -46,7 +48,7 @@ def constant_loop(targets, regions, D=None, limits=3.0):
 
 def stripes(*ends):
     """Regions ends[i] <= x1 <= ends[i + 1]."""
-    return [(np.array([[1.0, 0], [-1, 0]]), np.array([b, -a])) for a, b in zip(ends, ends[1:])]
+    return [(np.array([[1.0, 0], [-1, 0]]), np.array([b, -a])) for a, b in pairwise(ends)]
 
 
 def board():
@@ -357,7 +359,7 @@ def test_the_attractor_is_a_nested_sequence_that_settles_and_is_entered():
     S = mr.maximal_safe_set(case.loop, prove=False)
     found = mr.attractor(case.loop, S, tolerance=1e-3)
     assert found.settled and len(found.history) == found.steps + 2
-    assert all(after.is_subset(before, tol=1e-9) for before, after in zip(found.history, found.history[1:]))
+    assert all(after.is_subset(before, tol=1e-9) for before, after in pairwise(found.history))
     assert found.set.is_subset(found.history[-1], tol=1e-3)
     assert not found.history[found.steps - 1].is_subset(found.set, tol=1e-3)
     rng = np.random.default_rng(0)

@@ -4,16 +4,23 @@ Colours are from the Okabe-Ito palette, and every kind of set also differs by li
 figures can be read in grey.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
+from .region import Region
+
 try:
-    from matplotlib.patches import Polygon
+    from matplotlib import cm
+    from matplotlib.patches import PathPatch, Polygon
+    from matplotlib.path import Path
 except ImportError as missing:
     raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
 
 GREEN, BLUE, RED, BLACK, GREY, ORANGE = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A", "#E69F00"
 SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
 TERMINAL = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
+MAXIMAL = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
 SEQUENCE = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
 
 
@@ -38,6 +45,24 @@ def draw_set(ax, P, **style):
     colour, label = style.get("edgecolor", BLACK), style.get("label")
     line = "." if len(corners) == 1 else style.get("linestyle", "-")
     return ax.plot(*corners.T, line, color=colour, linewidth=style.get("linewidth"), label=label)[0]
+
+
+def draw_region(ax, region, **style):
+    """Draw the polygons of a Region, holes left open; its segments and points are not shown.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    region : Region
+    **style
+        Of matplotlib.patches.PathPatch, such as the module's MAXIMAL; label included.
+
+    Returns
+    -------
+    matplotlib artist
+    """
+    paths = [Path(ring, closed=True) for ring in region.rings()]
+    return ax.add_patch(PathPatch(Path.make_compound_path(*paths) if paths else Path(np.zeros((0, 2))), **style))
 
 
 def draw_regions(ax, system):
@@ -180,3 +205,69 @@ def plot_step(ax, history, k, name=r"\mathcal{F}"):
         draw_set(ax, before, **{**SEQUENCE, "edgecolor": GREY})
     draw_set(ax, history[k], **TERMINAL)
     label_axes(ax, history[0], rf"${name}_{{{k}}}$")
+
+
+def plot_maximal(ax, system, safe, maximal):
+    """F_max inside the maximal safe set inside X, with their areas; what is dotted can be driven out of X.
+
+    Parameters
+    ----------
+    safe : SafeSet
+    maximal : MaximalSafeSet
+        With a set.
+    """
+    X, F = Region.of(system.state_set), Region.of(safe.set)
+    label = r"lost: can be driven out of $\mathcal{X}$"
+    draw_region(ax, X - maximal.set, facecolor="#F2F2F2", edgecolor=GREY, linewidth=0, hatch="....", label=label)
+    label = f"maximal safe set, {maximal.set.area / F.area:.1f} times as large"
+    draw_region(ax, maximal.set, **MAXIMAL, label=label)
+    own = {**SAFE, "facecolor": "#009E7380", "hatch": "////"}
+    draw_set(ax, safe.set, **own, label=r"the paper's $\mathcal{F}_{\max}$")
+    draw_region(ax, X, facecolor="none", edgecolor=BLACK, linewidth=1.2)
+    label_axes(ax, system.state_set)
+    legend_above(ax, 3)
+
+
+def plot_lost(ax, history, state_set):
+    """Which states are lost at which step of S_0, S_1, ...: darker is later, white with a blue edge is what stays.
+
+    Parameters
+    ----------
+    history : list of Region
+        Such as `MaximalSafeSet.history`.
+    state_set : Polytope
+    """
+    steps = len(history) - 1
+    for k, (before, after) in enumerate(pairwise(history), start=1):
+        shade = cm.cividis(1 - k / (steps + 1))
+        draw_region(ax, before - after, facecolor=shade, edgecolor="white", linewidth=0.4, label=f"lost at $k = {k}$")
+    draw_region(ax, history[-1], facecolor="none", edgecolor=BLUE, linewidth=1.8, label=rf"$\mathcal{{S}}_{{{steps}}}$")
+    label_axes(ax, state_set)
+
+
+def plot_areas(ax, studies, sizes):
+    """Area of the maximal safe set over that of F_max, one mark a network of a seed study.
+
+    Parameters
+    ----------
+    studies : dict of str to list of SeedRow
+        By the name of the case.
+    sizes : dict of str to float
+        Areas of X, by which the areas are divided.
+    """
+    marks = {"marker": "o", "color": BLUE}, {"marker": "^", "color": ORANGE}
+    for (name, rows), mark in zip(studies.items(), marks):
+        found = np.array([(row.safe_area, row.maximal_area) for row in rows if row.maximal_area])
+        found = found.reshape(-1, 2) / sizes[name]
+        label = f"{name.replace('_', ' ')}: {len(found)} of {len(rows)} networks"
+        ax.scatter(*found.T, s=22, alpha=0.75, edgecolors=BLACK, linewidths=0.4, label=label, **mark)
+    ax.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1, zorder=0)
+    ax.text(0.55, 0.5, "as large as $\\mathcal{F}_{\\max}$", color="#666666", rotation=45, ha="center", va="center")
+    ax.set(
+        xlim=(-0.02, 1.02),
+        ylim=(-0.02, 1.04),
+        xlabel=r"area of $\mathcal{F}_{\max}$ (0: none found), share of $\mathcal{X}$",
+        ylabel=r"area of the maximal safe set, share of $\mathcal{X}$",
+        aspect="equal",
+    )
+    legend_above(ax, 1)

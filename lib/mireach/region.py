@@ -148,6 +148,10 @@ class Region:
         merged = _merged([simplices[i] for i in range(count)])
         return Polygons.of([*merged, *(simplices[i] for i in range(count, len(simplices)))])
 
+    def rings(self):
+        """Closed rings of corners (v, 2), counter-clockwise around polygons, clockwise around holes: list of arrays."""
+        return [shapely.get_coordinates(r) for r in shapely.get_rings(shapely.orient_polygons(_polygons(self.shape)))]
+
     # -- new regions ------------------------------------------------------------------------------
 
     def __or__(self, other):
