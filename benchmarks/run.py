@@ -64,8 +64,8 @@ def for_case(name, quick):
 
 def for_region(name, case):
     """The maximal safe set, from the cells to the float region, its outer bound, its proof; and the attractor."""
-    every, found = cells.loop_cells(case.loop), mr.maximal_safe_set(case.loop, prove=False)
-    slack = planar.SLACK * every.size
+    every, found = cells.dynamics(case.loop), mr.maximal_safe_set(case.loop, prove=False)
+    slack = planar.SLACK * planar._size(every)
     for label, sign in (("maximal safe set", 1), ("its outer bound", -1)):
         row(
             f"{name}: {label} ({found.iterations}), from the cells",

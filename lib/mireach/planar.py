@@ -13,7 +13,8 @@ import shapely
 
 from .checks import positive_number, require_kind, whole_number
 from .engines import exact
-from .engines.cells import TOUCH, loop_cells
+from .engines.cells import ROUNDING as UNIT
+from .engines.cells import TOUCH, dynamics
 from .invariance import SafeSet, safe_set
 from .loop import ClosedLoop
 from .polygons import Polygons
@@ -162,18 +163,18 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
     On a boundary of regions every mode counts, so that a single line may be lost; the slack removes a thin strip
     with it. The maximal set itself need not be closed; `set` and `outer` are.
     """
-    every = loop_cells(loop)
+    every = dynamics(loop)
     slack, max_iterations = positive_number(slack, "slack"), whole_number(max_iterations, "max_iterations", 1)
     if slack < LEAST_SLACK:
         raise ValueError(f"slack must be at least {LEAST_SLACK:g}, above the rounding of GEOS; got {slack:g}")
-    outer = _shrink(loop, every, -slack * every.size, max_iterations)[0][-1]
-    outer = outer.sum(_square(slack * every.size)) & loop.system.state_set if not outer.is_empty else outer
+    outer = _shrink(loop, every, -slack * _size(every), max_iterations)[0][-1]
+    outer = outer.sum(_square(slack * _size(every))) & loop.system.state_set if not outer.is_empty else outer
     if outer.is_empty:
         reason = "X holds no RPI set: every state of it can be driven out of it"
         return MaximalSafeSet(None, outer, 0, [Region.of(loop.system.state_set)], "refuted", reason, slack)
     failures = []
     for tried in (*(slack * 10.0**power for power in range(COARSER + 1)), 0.0):
-        history, unfinished = _shrink(loop, every, tried * every.size, max_iterations)
+        history, unfinished = _shrink(loop, every, tried * _size(every), max_iterations)
         if unfinished or history[-1].is_empty:
             failures.append(f"with slack {tried:g} {unfinished or 'nothing is left'}")
             continue
@@ -250,7 +251,7 @@ def exact_reach(loop, F, steps):
     ValueError
         If the loop has not two states, or F is not a set of the plane.
     """
-    every = loop_cells(loop)
+    every = dynamics(loop)
     sets = [_start(loop, F)]
     for _ in range(whole_number(steps, "steps", 0)):
         sets.append(_image(loop, every, sets[-1]))
@@ -283,7 +284,7 @@ def attractor(loop, safe, *, tolerance=1e-3, max_steps=500):
     S = safe.set if isinstance(safe, (MaximalSafeSet, SafeSet)) else safe
     if S is None:
         raise ValueError(f"there is no safe set to start from: {safe.reason}")
-    every, history, settled = loop_cells(loop), [_start(loop, S)], False
+    every, history, settled = dynamics(loop), [_start(loop, S)], False
     while not settled and len(history) <= max_steps:
         history.append(_image(loop, every, history[-1]))
         settled = history[-2].is_subset(history[-1], tolerance)
@@ -355,8 +356,8 @@ def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, 
 
 def _has_safe_region(loop):
     """Whether the iteration of `maximal_safe_set` comes to rest before nothing is left."""
-    every = loop_cells(loop)
-    history, unfinished = _shrink(loop, every, SLACK * every.size, MOST_ITERATIONS)
+    every = dynamics(loop)
+    history, unfinished = _shrink(loop, every, SLACK * _size(every), MOST_ITERATIONS)
     return not unfinished and not history[-1].is_empty
 
 
@@ -414,7 +415,7 @@ def _lost_into(every, chosen, D, targets, slack):
     of T and of -D.
     """
     cells = every.cells.polygons.take(chosen)
-    images, (low, high) = every.images(cells, chosen), D.bounding_box()
+    images, (low, high) = _images(every, cells, chosen), D.bounding_box()
     starts, ends = targets.min(axis=1) - high - slack, targets.max(axis=1) - low + slack
     near = (cells.least(images)[:, None] <= ends).all(axis=2) & (cells.largest(images)[:, None] >= starts).all(axis=2)
     which, target = np.nonzero(near)
@@ -471,6 +472,17 @@ def _with_area(shape):
     return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
 
 
+def _size(every):
+    """The largest coordinate of X, its image and the disturbance sets, rounded up to a power of two."""
+    return every.unit / UNIT
+
+
+def _images(every, polygons, cells):
+    """M x + c at the corners of polygons that lie in the cells with the given indices: array (T, 2)."""
+    rows = cells[polygons.owner]
+    return np.einsum("tij,tj->ti", every.M[rows], polygons.points) + every.c[rows]
+
+
 def _square(r):
     """The box |x|_inf <= r in the plane."""
     return Polytope.box([-r, -r], [r, r])
@@ -489,7 +501,7 @@ def _start(loop, F):
 def _image(loop, every, R):
     """R_1(R): the images of all parts of cells within R, each widened by the D of its mode."""
     pieces, cells = R.simplices, every.cells.polygons
-    touch = TOUCH * every.size
+    touch = TOUCH * _size(every)
     starts, ends = pieces.least(pieces.points) - touch, pieces.largest(pieces.points) + touch
     near = (cells.least(cells.points)[:, None] <= ends).all(axis=2)
     near &= (cells.largest(cells.points)[:, None] >= starts).all(axis=2)
@@ -499,7 +511,7 @@ def _image(loop, every, R):
     for row in range(A.shape[1]):
         part, left = part.clip(A[piece, row], b[piece, row], touch)
         which, piece = which[left], piece[left]
-    images = Polygons(every.images(part, which), part.starts)
+    images = Polygons(_images(every, part, which), part.starts)
     shapes = [np.zeros(0, object)]
     for D in {mode.disturbance for mode in loop.system.modes}:
         own = [number for number, mode in enumerate(loop.system.modes) if mode.disturbance is D]

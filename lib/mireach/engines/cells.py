@@ -74,19 +74,14 @@ class LoopCells:
     cells : Cells
     M : array (N, 2, 2)
     c : array (N, 2)
-    size : float
-        Largest coordinate of X, its image and the disturbance sets, at least 1: what tolerances are relative to.
+    unit : float
+        Bounds are rounded up to multiples of this power of two, the same for all sets of the loop.
     """
 
     cells: Cells
     M: np.ndarray
     c: np.ndarray
-    size: float
-
-    @property
-    def unit(self):
-        """Bounds are rounded up to multiples of this power of two, the same for all sets of the loop."""
-        return ROUNDING * 2.0 ** np.ceil(np.log2(self.size))
+    unit: float
 
     def images(self, part, index):
         """M x + c at all vertices of the Polygons `part`, which lie in the cells `index`: array (T, 2)."""
@@ -113,7 +108,18 @@ def cells(loop):
         If the loop has not two states, or Phi leaves U somewhere in X (checked at every vertex, which
         for an affine piece decides it).
     """
-    return loop_cells(loop).cells
+    return _loop_cells(loop).cells
+
+
+def dynamics(loop):
+    """The cells of a closed loop with x+ = M x + c on each of them: LoopCells, the same object for the same loop.
+
+    Raises
+    ------
+    ValueError
+        As `cells`.
+    """
+    return _loop_cells(loop)
 
 
 def support(loop, F, V, steps=1):
@@ -142,7 +148,7 @@ def support(loop, F, V, steps=1):
         If the loop has not two states, or the reachable set falls into too many pieces.
     """
     V, steps = checked_query(loop, F, V, steps)
-    every = loop_cells(loop)
+    every = _loop_cells(loop)
     spread = _disturbance_supports(loop, V)
     value, ends = np.full(len(V), -np.inf), [None] * len(V)
     pieces = [(F, ())]
@@ -173,8 +179,8 @@ def support(loop, F, V, steps=1):
 
 
 @lru_cache(maxsize=32)
-def loop_cells(loop):
-    """The cells of a loop with its nominal dynamics (LoopCells), after the checks that `cells` promises."""
+def _loop_cells(loop):
+    """Cells and nominal dynamics of a loop, after the checks that `cells` promises."""
     if loop.system.state_size != 2:
         raise ValueError(f'the cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
     found = _cells(loop.network, tuple(mode.region for mode in loop.system.modes), loop.system.state_set)
@@ -184,7 +190,7 @@ def loop_cells(loop):
     images = every.images(found.polygons, np.arange(len(found)))
     limits = [mode.disturbance.bounding_box() for mode in loop.system.modes]
     size = max(_size(found.polygons.points), _size(images), _size(np.array(limits)))
-    return replace(every, size=size)
+    return replace(every, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
 
 
 @lru_cache(maxsize=32)
