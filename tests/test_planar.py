@@ -264,6 +264,22 @@ def test_limits_and_arguments():
         mr.maximal_safe_set(affine_loop(0.5 * np.eye(3)))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_one_step_backwards_takes_exactly_what_can_be_carried_out(seed):
+    loop, rng = random_loop(seed, with_input=seed % 2 == 1), np.random.default_rng(seed)
+    X = loop.system.state_set
+    S = mr.Region.of(X.scale(0.9)) - X.scale(0.1)
+    out = planar.carried_out(loop, S)
+    for x in X.sample(rng, 150):
+        u, leaves = evaluate(loop.network, x), []
+        for mode in loop.system.modes:
+            if (mode.region.H @ np.concatenate([x, u]) <= mode.region.h).all():
+                image = mr.Region.of(mode.A @ x + mode.B @ u + mode.p + mode.disturbance.vertices())
+                leaves.append(not image.is_subset(S))
+        near = out.shape.boundary.distance(planar.shapely.points(x)) < 1e-6
+        assert near or out.contains(x) == any(leaves)
+
+
 # -- proofs and forgeries -----------------------------------------------------------------------------
 
 

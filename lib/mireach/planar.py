@@ -188,6 +188,34 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
     return MaximalSafeSet(None, outer, len(history) - 1, history, "unknown", "; ".join(failures), tried)
 
 
+def carried_out(loop, S):
+    """The states of X that some disturbance carries out of S: one step of the iteration, without slack.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states.
+    S : Region or Polytope
+
+    Returns
+    -------
+    Region
+        Its closure; parts without area are left out.
+
+    Raises
+    ------
+    ValueError
+        If the loop has not two states, or S is not a set of the plane.
+    """
+    every, X = dynamics(loop), loop.system.state_set
+    targets = Region(_with_area((Region.of(X) - _start(loop, S)).shape)).simplices.points.reshape(-1, 3, 2)
+    lost = []
+    for D, own in _groups(loop, every):
+        chosen = np.flatnonzero(own)
+        lost += [_lost_outside(every, chosen, D, X, 0.0), _lost_into(every, chosen, D, targets, 0.0)]
+    return Region(_union(lost, Region.of(X), 0.0))
+
+
 def prove_rpi(loop, region):
     """Whether a region is RPI, in rational arithmetic.
 
@@ -370,10 +398,7 @@ def _shrink(loop, every, slack, max_iterations):
     `slack` (units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
     negative for a set around it: only what is lost by more than that carries on. At 0 there is no margin.
     """
-    groups = {}
-    for number, mode in enumerate(loop.system.modes):
-        groups.setdefault(mode.disturbance, []).append(number)
-    groups = [(D, np.isin(every.cells.mode, modes)) for D, modes in groups.items()]
+    groups = _groups(loop, every)
     shapes = hulls(every.cells.polygons)
     lost = [_lost_outside(every, np.flatnonzero(own), D, loop.system.state_set, slack) for D, own in groups]
     S = Region.of(_inset(loop.system.state_set, max(slack, 0.0)))
@@ -397,6 +422,14 @@ def _shrink(loop, every, slack, max_iterations):
         lost = [_lost_into(every, np.flatnonzero(own & alive), D, targets, max(slack, 0.0)) for D, own in groups]
         S = following
     return history, f"max_iterations = {max_iterations} came first"
+
+
+def _groups(loop, every):
+    """Every different disturbance set D, with the cells (N,) of bool in which it acts."""
+    groups = {}
+    for number, mode in enumerate(loop.system.modes):
+        groups.setdefault(mode.disturbance, []).append(number)
+    return [(D, np.isin(every.cells.mode, modes)) for D, modes in groups.items()]
 
 
 def _lost_outside(every, chosen, D, X, slack):
