@@ -82,5 +82,8 @@ def test_the_maximal_set_is_labelled_with_its_size_and_each_loss_with_its_step(a
 def test_areas_of_a_study_are_drawn_as_shares_of_x(ax):
     row = SeedRow(0, 0.1, 10, "proven", 1, safe_area=2.0, maximal_area=3.0)
     plotting.plot_areas(ax, {"pwa": [row], "double_integrator": [row]}, {"pwa": 4.0, "double_integrator": 8.0})
-    drawn = [marks.get_offsets().tolist() for marks in ax.collections]
-    assert drawn == [[[0.5, 0.75]], [[0.25, 0.375]]]
+    drawn = [marks.get_offsets()[:, 0].tolist() for marks in ax.collections]
+    assert drawn == [[0.5], [0.75], [0.25], [0.375]]
+    none = Figure().add_subplot()
+    plotting.plot_areas(none, {"pwa": [row, SeedRow(1, 0.1, 10, "refuted", 1, maximal_area=1.0)]}, {"pwa": 4.0})
+    assert [text.get_text() for text in none.texts] == ["none for 1 of 2"]

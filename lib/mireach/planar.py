@@ -25,6 +25,7 @@ SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and
 LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
 MOST_ITERATIONS = 500  # default of `max_iterations`
 MOST_TRIANGLES = 1_000  # that an S_k may fall into; a larger slack then ends a boundary of ever more corners sooner
+MOST_LOST = 5_000  # the same where nothing has to be proven afterwards
 COARSER = 4  # powers of 10 by which the slack may grow
 ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
 
@@ -167,7 +168,7 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
     slack, max_iterations = positive_number(slack, "slack"), whole_number(max_iterations, "max_iterations", 1)
     if slack < LEAST_SLACK:
         raise ValueError(f"slack must be at least {LEAST_SLACK:g}, above the rounding of GEOS; got {slack:g}")
-    outer = _shrink(loop, every, -slack * _size(every), max_iterations)[0][-1]
+    outer = _shrink(loop, every, -slack * _size(every), max_iterations, MOST_LOST)[0][-1]
     outer = outer.sum(_square(slack * _size(every))) & loop.system.state_set if not outer.is_empty else outer
     if outer.is_empty:
         reason = "X holds no RPI set: every state of it can be driven out of it"
@@ -385,14 +386,14 @@ def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, 
 def _has_safe_region(loop):
     """Whether the iteration of `maximal_safe_set` comes to rest before nothing is left."""
     every = dynamics(loop)
-    history, unfinished = _shrink(loop, every, SLACK * _size(every), MOST_ITERATIONS)
+    history, unfinished = _shrink(loop, every, SLACK * _size(every), MOST_ITERATIONS, MOST_LOST)
     return not unfinished and not history[-1].is_empty
 
 
 # -- backwards ----------------------------------------------------------------------------------------
 
 
-def _shrink(loop, every, slack, max_iterations):
+def _shrink(loop, every, slack, max_iterations, most_triangles=MOST_TRIANGLES):
     """S_0, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
 
     `slack` (units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
@@ -412,8 +413,8 @@ def _shrink(loop, every, slack, max_iterations):
         history.append(following)
         if following.is_empty:
             return history, ""
-        if len(following.simplices) > MOST_TRIANGLES:
-            return history, f"S_{len(history) - 1} has more than {MOST_TRIANGLES} triangles"
+        if len(following.simplices) > most_triangles:
+            return history, f"S_{len(history) - 1} has more than {most_triangles} triangles"
         if slack < 0:
             fresh = S.sum(_square(-slack)) - following.sum(_square(-slack))
         targets = Region(_with_area(fresh.shape)).simplices.points.reshape(-1, 3, 2)

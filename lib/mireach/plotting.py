@@ -18,6 +18,7 @@ except ImportError as missing:
     raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
 
 GREEN, BLUE, RED, BLACK, GREY, ORANGE = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A", "#E69F00"
+GOLDEN = 0.618034  # multiples of it, less whole numbers, spread evenly: jitter that is the same every time
 SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
 TERMINAL = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
 MAXIMAL = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
@@ -246,7 +247,7 @@ def plot_lost(ax, history, state_set):
 
 
 def plot_areas(ax, studies, sizes):
-    """Area of the maximal safe set over that of F_max, one mark a network of a seed study.
+    """Areas of F_max and of the maximal safe set, one mark a network of a seed study, a row of marks for each.
 
     Parameters
     ----------
@@ -255,19 +256,21 @@ def plot_areas(ax, studies, sizes):
     sizes : dict of str to float
         Areas of X, by which the areas are divided.
     """
-    marks = {"marker": "o", "color": BLUE}, {"marker": "^", "color": ORANGE}
-    for (name, rows), mark in zip(studies.items(), marks):
-        found = np.array([(row.safe_area, row.maximal_area) for row in rows if row.maximal_area])
-        found = found.reshape(-1, 2) / sizes[name]
-        label = f"{name.replace('_', ' ')}: {len(found)} of {len(rows)} networks"
-        ax.scatter(*found.T, s=22, alpha=0.75, edgecolors=BLACK, linewidths=0.4, label=label, **mark)
-    ax.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1, zorder=0)
-    ax.text(0.55, 0.5, "as large as $\\mathcal{F}_{\\max}$", color="#666666", rotation=45, ha="center", va="center")
-    ax.set(
-        xlim=(-0.02, 1.02),
-        ylim=(-0.02, 1.04),
-        xlabel=r"area of $\mathcal{F}_{\max}$ (0: none found), share of $\mathcal{X}$",
-        ylabel=r"area of the maximal safe set, share of $\mathcal{X}$",
-        aspect="equal",
-    )
-    legend_above(ax, 1)
+    marks = (("safe_area", r"$\mathcal{F}_{\max}$", "^", GREEN), ("maximal_area", "maximal set", "o", BLUE))
+    ticks = []
+    for name, rows in studies.items():
+        for field, what, marker, colour in marks:
+            place = -len(ticks)
+            areas = np.array([getattr(row, field) for row in rows]) / sizes[name]
+            spread = place + 0.5 * (np.array([row.seed for row in rows]) * GOLDEN % 1 - 0.5)
+            found = areas > 0
+            ax.scatter(areas[found], spread[found], s=16, marker=marker, color=colour, edgecolors=BLACK, linewidths=0.3)
+            if not found.all():
+                text = f"none for {(~found).sum()} of {len(rows)}"
+                ax.annotate(text, (0.01, place), va="center", fontsize="small")
+            ticks.append(f"{name.replace('_', ' ')}\n{what}")
+    ax.set(xlim=(0, 1.02), xlabel=r"area, share of $\mathcal{X}$ (one mark a network)")
+    ax.set_yticks(-np.arange(len(ticks)), ticks)
+    ax.set_ylim(0.5 - len(ticks), 0.5)
+    ax.grid(axis="x", color="#DDDDDD")
+    ax.set_axisbelow(True)

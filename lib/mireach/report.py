@@ -32,6 +32,7 @@ FORMAT = "mireach-report/1"
 SETTLING = 10  # steps that trajectories run on after they have to be in the terminal set
 INSIDE = 1e-9  # simulated states count as inside a set to within this, for rounding (units of x)
 TRAJECTORIES = 200
+SIZES = {"seed_areas": (6.4, 3.8)}  # of figures that are not square, in inches
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +167,7 @@ def draw_figures(analyses, folder):
     for analysis in analyses:
         drawings |= _drawings(analysis)
     for name, draw in drawings.items():
-        figure = Figure(figsize=(6.4, 6.2), layout="constrained")
+        figure = Figure(figsize=SIZES.get(name, (6.4, 6.2)), layout="constrained")
         draw(figure.add_subplot())
         with matplotlib.rc_context({"svg.hashsalt": "mireach"}):  # the same figure gives the same file
             figure.savefig(folder / f"{name}.svg", metadata={"Date": None}, bbox_inches="tight")
