@@ -86,4 +86,5 @@ def test_areas_of_a_study_are_drawn_as_shares_of_x(ax):
     assert drawn == [[0.5], [0.75], [0.25], [0.375]]
     none = Figure().add_subplot()
     plotting.plot_areas(none, {"pwa": [row, SeedRow(1, 0.1, 10, "refuted", 1, maximal_area=1.0)]}, {"pwa": 4.0})
-    assert [text.get_text() for text in none.texts] == ["none for 1 of 2"]
+    labels = [label.get_text() for label in none.get_yticklabels()]
+    assert labels[0].endswith(": 1 of 2") and labels[1].endswith("maximal set: 2 of 2")

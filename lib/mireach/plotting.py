@@ -265,11 +265,8 @@ def plot_areas(ax, studies, sizes):
             spread = place + 0.5 * (np.array([row.seed for row in rows]) * GOLDEN % 1 - 0.5)
             found = areas > 0
             ax.scatter(areas[found], spread[found], s=16, marker=marker, color=colour, edgecolors=BLACK, linewidths=0.3)
-            if not found.all():
-                text = f"none for {(~found).sum()} of {len(rows)}"
-                ax.annotate(text, (0.01, place), va="center", fontsize="small")
-            ticks.append(f"{name.replace('_', ' ')}\n{what}")
-    ax.set(xlim=(0, 1.02), xlabel=r"area, share of $\mathcal{X}$ (one mark a network)")
+            ticks.append(f"{name.replace('_', ' ')}\n{what}: {found.sum()} of {len(rows)}")
+    ax.set(xlim=(0, 1.02), xlabel=r"area, share of $\mathcal{X}$ (one mark for each network that has the set)")
     ax.set_yticks(-np.arange(len(ticks)), ticks)
     ax.set_ylim(0.5 - len(ticks), 0.5)
     ax.grid(axis="x", color="#DDDDDD")
