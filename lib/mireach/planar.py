@@ -25,7 +25,7 @@ SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and
 LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
 MOST_ITERATIONS = 500  # default of `max_iterations`
 MOST_TRIANGLES = 1_000  # that an S_k may fall into; a larger slack then ends a boundary of ever more corners sooner
-MOST_LOST = 5_000  # the same where nothing has to be proven afterwards
+MOST_LOST = 10_000  # the same where nothing has to be proven afterwards
 COARSER = 4  # powers of 10 by which the slack may grow
 ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
 
