@@ -325,6 +325,13 @@ def test_a_proof_needs_a_set():
     assert mr.prove_rpi(affine_loop(0.5 * np.eye(2)), square(1)).verdict == "proven"
 
 
+def test_a_proof_that_grows_too_large_is_given_up(monkeypatch):
+    monkeypatch.setattr(planar.exact, "MOST_PARTS", 0)
+    frame = mr.Region.of(square(1)) - square(0.5)
+    check = mr.prove_rpi(affine_loop(0.5 * np.eye(2)), frame)
+    assert check.verdict == "unknown" and "parts" in check.reason and check.witness is None
+
+
 # -- reachable sets -----------------------------------------------------------------------------------
 
 
@@ -359,6 +366,9 @@ def test_points_and_segments_have_images():
     assert R.area == pytest.approx(0.7 * 0.2)
     both = mr.exact_reach(jump_loop([0.0, 0.0], [3.0, 0.0]), mr.Polytope.box([1, 0], [1, 0]), 1)[1]
     assert both.contains([[0.0, 0.0], [3.0, 0.0]]).all() and both.components == 2
+    mixed = jump_loop([0.0, 0.0], [3.0, 0.0], [mr.Polytope.box([0, 0], [0, 0]), square(0.1)])
+    R = mr.exact_reach(mixed, mr.Polytope.box([1, 0], [1, 0]), 1)[1]
+    assert R.area == pytest.approx(0.04) and R.components == 2 and R.contains([0.0, 0.0])
     assert mr.exact_reach(affine_loop(np.eye(2)), mr.Polytope.box([5, 5], [6, 6]), 1)[1].is_empty
 
 

@@ -78,6 +78,17 @@ def test_a_state_outside_of_x_is_a_witness_by_itself():
     assert escape.after is None and escape.state[1] == Fraction(3, 2) and "outside the state set" in str(escape)
 
 
+def test_a_gap_between_regions_is_noticed_however_narrow():
+    zero, column = np.zeros((2, 2)), np.zeros((2, 1))
+    for width in (0.0, 1e-9):
+        regions = mr.Polytope([[1.0, 0, 0]], [0.0]), mr.Polytope([[-1.0, 0, 0]], [-width])
+        modes = [mr.Mode(zero, column, [0.5, 0.0], region) for region in regions]
+        net = mr.MaxoutNetwork((), np.zeros((1, 2)), [0.0])
+        loop = mr.ClosedLoop(mr.PWASystem(modes, square(1), mr.Polytope.box([-1], [1])), net)
+        escape = exact.first_escape(loop, corners(([-1, -1], [1, 1])))
+        assert escape is None if not width else 0 < escape.state[0] < width and "no region contains" in str(escape)
+
+
 def test_on_a_boundary_every_mode_counts():
     loop = jump_loop([0.0, 0.0], [9.0, 0.0])  # right of x1 = 1, and on it, all is carried out of X
     assert exact.first_escape(loop, corners(([-1, -1], [np.nextafter(1, 0), 1]))) is None

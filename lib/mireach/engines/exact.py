@@ -51,7 +51,7 @@ class Escape:
     ----------
     state, disturbance, after : pair of Fraction
         A state of the set, a disturbance of the mode's set, and where they lead: outside the set.
-        The last two are None where the state itself lies outside X.
+        The last two are None where the state itself has no successor.
     mode : int or None
         Counted from 0.
     """
@@ -64,7 +64,7 @@ class Escape:
     def __str__(self):
         x = [round(float(value), 6) for value in self.state]
         if self.after is None:
-            return f"x = {x} lies outside the state set"
+            return f"x = {x} has no successor: it lies outside the state set, or no region contains it with its input"
         d, after = ([round(float(value), 6) for value in pair] for pair in (self.disturbance, self.after))
         return f"x = {x}, mode {self.mode + 1}, d = {d} -> {after}"
 
@@ -120,14 +120,15 @@ def first_escape(loop, pieces):
     Parameters
     ----------
     loop : ClosedLoop
-        With two states. Where no region contains (x, Phi(x)), as in a gap that rounded regions may leave,
-        there is no step.
+        With two states.
     pieces : sequence of arrays (v, 2)
         The corners of convex sets, as the floats they are.
 
     Returns
     -------
     Escape or None
+        States without a successor count as escapes: those outside X, and those in a gap between regions, however
+        narrow.
 
     Raises
     ------
@@ -138,7 +139,8 @@ def first_escape(loop, pieces):
     -----
     For every cell C and every piece P, the image of C & P, widened by D, less all pieces has to be empty.
     Parts of it without interior relative to the image are left out: the image less a closed set is open
-    relative to the image, so that it is empty if it has no interior there.
+    relative to the image, so that it is empty if it has no interior there. The same way every piece less all
+    cells has to be empty.
     """
     flint()
     hulls = [_hull([binary(corner) for corner in piece]) for piece in pieces]
@@ -147,6 +149,12 @@ def first_escape(loop, pieces):
         for x in corners:
             if any(_dot(a, x) > b for a, b in limits):
                 return Escape(_fractions(x))
+    every = cells(loop)
+    around = [(_sides(cell.corners), _box(cell.corners)) for cell in every]
+    for corners in hulls:
+        gap = _less(corners, around)
+        if gap:
+            return Escape(_fractions(_middle(gap)))
     sides, boxes = [_sides(corners) for corners in hulls], np.array([_box(corners) for corners in hulls])
     others = list(zip(sides, boxes.tolist()))
     spread = disturbances(loop)
@@ -161,7 +169,7 @@ def first_escape(loop, pieces):
         rest = _less(image, [others[j] for j in np.flatnonzero(_meeting(boxes, np.array(_box(image))))])
         return _escape(cell.mode, image, ends, rest) if rest else None
 
-    for cell in cells(loop):
+    for cell in every:
         met = np.flatnonzero(_meeting(boxes, np.array(_box(cell.corners))))
         if not len(met) or leaves(cell, cell.corners) is None:  # most cells stay in the set as a whole
             continue
@@ -326,6 +334,11 @@ def _less_one(part, sides):
     return outside
 
 
+def _middle(corners):
+    """The mean of the corners."""
+    return tuple(sum((x[i] for x in corners), flint().fmpq(0)) / len(corners) for i in range(2))
+
+
 def _box(corners):
     """A box (left, bottom, right, top) in floats that certainly holds the polygon."""
     x, y = [_nearest(point[0]) for point in corners], [_nearest(point[1]) for point in corners]
@@ -344,8 +357,7 @@ def _escape(mode, image, ends, rest):
     The middle lies in a triangle of corners of the image, and its state and disturbance lie between theirs
     in the same proportion.
     """
-    count = len(rest)
-    y = tuple(sum((x[i] for x in rest), flint().fmpq(0)) / count for i in range(2))
+    y = _middle(rest)
     shares = _shares(image, y)
     state, disturbance = (
         tuple(sum((share * ends[corner][which][i] for corner, share in shares), flint().fmpq(0)) for i in range(2))
