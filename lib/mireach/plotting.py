@@ -11,18 +11,20 @@ import numpy as np
 from .region import Region
 
 try:
-    from matplotlib import cm
-    from matplotlib.patches import PathPatch, Polygon
-    from matplotlib.path import Path
+    from matplotlib.patches import Polygon
 except ImportError as missing:
     raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
 
+from matplotlib.cm import cividis
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+
 GREEN, BLUE, RED, BLACK, GREY, ORANGE = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A", "#E69F00"
-GOLDEN = 0.618034  # multiples of it, less whole numbers, spread evenly: jitter that is the same every time
 SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
 TERMINAL = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
-MAXIMAL = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
 SEQUENCE = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
+MAXIMAL = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
+GOLDEN = 0.618034  # multiples of it, less whole numbers, spread evenly: jitter that is the same every time
 
 
 def draw_set(ax, P, **style):
@@ -178,36 +180,6 @@ def plot_vector_field(ax, system, safe, terminal, step, path, reach, arrows=34):
     legend_above(ax, 4)
 
 
-def plot_history(axes, history, chosen=None, name=r"\mathcal{F}"):
-    """Small multiples of a sequence of sets: each panel one set over its predecessors, for readers without a kernel.
-
-    Parameters
-    ----------
-    axes : array of matplotlib Axes
-        As many panels as are shown.
-    history : list of Polytope
-    chosen : sequence of int or None
-        The steps shown; None spreads them evenly from the first to the last.
-    name : str
-        Of the sets, in mathtext.
-    """
-    axes = np.ravel(axes)
-    if chosen is None:
-        chosen = np.unique(np.linspace(0, len(history) - 1, min(len(axes), len(history))).round().astype(int))
-    for ax, k in zip(axes, chosen):
-        plot_step(ax, history, int(k), name)
-    for ax in axes[len(chosen) :]:
-        ax.set_axis_off()
-
-
-def plot_step(ax, history, k, name=r"\mathcal{F}"):
-    """Set k of a sequence in blue, its predecessors as thin outlines; the view stays that of the first set."""
-    for before in history[:k]:
-        draw_set(ax, before, **{**SEQUENCE, "edgecolor": GREY})
-    draw_set(ax, history[k], **TERMINAL)
-    label_axes(ax, history[0], rf"${name}_{{{k}}}$")
-
-
 def plot_maximal(ax, system, safe, maximal):
     """F_max inside the maximal safe set inside X, with their areas; what is dotted can be driven out of X.
 
@@ -240,7 +212,7 @@ def plot_lost(ax, history, state_set):
     """
     steps = len(history) - 1
     for k, (before, after) in enumerate(pairwise(history), start=1):
-        shade = cm.cividis(1 - k / (steps + 1))
+        shade = cividis(1 - k / (steps + 1))
         draw_region(ax, before - after, facecolor=shade, edgecolor="white", linewidth=0.4, label=f"lost at $k = {k}$")
     draw_region(ax, history[-1], facecolor="none", edgecolor=BLUE, linewidth=1.8, label=rf"$\mathcal{{S}}_{{{steps}}}$")
     label_axes(ax, state_set)
@@ -271,3 +243,33 @@ def plot_areas(ax, studies, sizes):
     ax.set_ylim(0.5 - len(ticks), 0.5)
     ax.grid(axis="x", color="#DDDDDD")
     ax.set_axisbelow(True)
+
+
+def plot_history(axes, history, chosen=None, name=r"\mathcal{F}"):
+    """Small multiples of a sequence of sets: each panel one set over its predecessors, for readers without a kernel.
+
+    Parameters
+    ----------
+    axes : array of matplotlib Axes
+        As many panels as are shown.
+    history : list of Polytope
+    chosen : sequence of int or None
+        The steps shown; None spreads them evenly from the first to the last.
+    name : str
+        Of the sets, in mathtext.
+    """
+    axes = np.ravel(axes)
+    if chosen is None:
+        chosen = np.unique(np.linspace(0, len(history) - 1, min(len(axes), len(history))).round().astype(int))
+    for ax, k in zip(axes, chosen):
+        plot_step(ax, history, int(k), name)
+    for ax in axes[len(chosen) :]:
+        ax.set_axis_off()
+
+
+def plot_step(ax, history, k, name=r"\mathcal{F}"):
+    """Set k of a sequence in blue, its predecessors as thin outlines; the view stays that of the first set."""
+    for before in history[:k]:
+        draw_set(ax, before, **{**SEQUENCE, "edgecolor": GREY})
+    draw_set(ax, history[k], **TERMINAL)
+    label_axes(ax, history[0], rf"${name}_{{{k}}}$")
