@@ -117,6 +117,13 @@ def test_a_hole_that_the_image_covers_is_found():
     assert_escapes(loop, pieces, escape)
 
 
+def test_the_safe_set_of_case_1_is_the_one_of_the_float_cells():
+    case = mr.case_study("pwa")
+    here, there = (mr.safe_set(case.loop, case.safe_directions, engine=engine) for engine in ("exact", "cells"))
+    assert here.verdict == there.verdict == "proven" and here.iterations == there.iterations
+    np.testing.assert_allclose(here.set.h, there.set.h, atol=1e-9)
+
+
 def test_one_step_only():
     with pytest.raises(ValueError, match="takes one step; got steps = 2"):
         mr.support(affine_loop(0.5 * np.eye(2)), square(1), mr.directions(4), steps=2, engine="exact")
