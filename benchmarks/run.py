@@ -16,7 +16,8 @@ import highspy
 import numpy as np
 
 import mireach as mr
-from mireach.engines import cells, milp
+from mireach import planar
+from mireach.engines import cells, exact, milp
 
 
 def main():
@@ -47,6 +48,7 @@ def for_case(name, quick):
         "ms",
         10,
     )
+    for_region(name, case)
     for label, F in (("X", X), ("F_max", safe.set), ("the terminal set", terminal.set)):
         if quick and label == "X":
             continue
@@ -58,6 +60,31 @@ def for_case(name, quick):
             "s",
             3,
         )
+
+
+def for_region(name, case):
+    """The maximal safe set, from the cells to the float region, its outer bound, its proof; and the attractor."""
+    every, found = cells.dynamics(case.loop), mr.maximal_safe_set(case.loop, prove=False)
+    slack = planar.SLACK * planar._size(every)
+    for label, sign in (("maximal safe set", 1), ("its outer bound", -1)):
+        row(
+            f"{name}: {label} ({found.iterations}), from the cells",
+            lambda sign=sign: planar._shrink(case.loop, every, sign * slack, planar.MOST_ITERATIONS),
+            1e3,
+            "ms",
+            20,
+        )
+    exact_cells = exact.cells.__wrapped__  # without its cache
+    row(f"{name}: exact cells", lambda: exact_cells(case.loop), 1, "s", 3)
+    row(
+        f"{name}: rational proof ({len(found.set.pieces)} pieces)",
+        lambda: mr.prove_rpi(case.loop, found.set),
+        1,
+        "s",
+        3,
+    )
+    steps = mr.attractor(case.loop, found).steps
+    row(f"{name}: attractor ({steps} steps)", lambda: mr.attractor(case.loop, found), 1, "s", 3)
 
 
 def fresh(case):

@@ -1,6 +1,7 @@
 """Random closed loops, and oracles that share no code with the package: they only read its data (H, h, weights)."""
 
 import warnings
+from fractions import Fraction
 
 import numpy as np
 from scipy.optimize import linprog
@@ -237,3 +238,53 @@ def assert_replays(loop, F, v, value, witness):
         assert (mode.disturbance.H @ d <= mode.disturbance.h + INSIDE).all()
         assert np.abs(mode.A @ x[k] + mode.B @ u + mode.p + d - x[k + 1]).max() <= INSIDE
     assert abs(np.asarray(v) @ x[-1] - value) <= INSIDE
+
+
+# -- rational oracles ---------------------------------------------------------------------------------
+
+
+def exact_input(net, x):
+    """Phi(x) of a rational state, neuron by neuron, with the weights as the floats they are."""
+    y = [Fraction(value) for value in x]
+    for layer in net.hidden:
+        z = [_exact_dot(row, y) + Fraction(b) for row, b in zip(layer.weight.tolist(), layer.bias.tolist())]
+        y = [max(z[i : i + layer.pool]) for i in range(0, len(z), layer.pool)]
+    return [_exact_dot(row, y) + Fraction(b) for row, b in zip(net.weight.tolist(), net.bias.tolist())]
+
+
+def exactly_inside(P, x):
+    """Whether a rational point is in a Polytope whose numbers are decimals."""
+    return all(
+        sum(Fraction(repr(a)) * value for a, value in zip(row, x)) <= Fraction(repr(b))
+        for row, b in zip(P.H.tolist(), P.h.tolist())
+    )
+
+
+def exactly_in_triangle(corners, x):
+    """Whether a rational point is in the closed triangle with float corners (3, 2)."""
+    corners = [[Fraction(value) for value in corner] for corner in corners.tolist()]
+    turns = [
+        (q[0] - p[0]) * (x[1] - p[1]) - (q[1] - p[1]) * (x[0] - p[0])
+        for p, q in zip(corners, corners[1:] + corners[:1])
+    ]
+    return all(turn >= 0 for turn in turns) or all(turn <= 0 for turn in turns)
+
+
+def assert_escapes(loop, pieces, escape):
+    """A step from a state of the triangles to one outside of them, or a state of theirs outside X: exactly."""
+    x = escape.state
+    assert any(exactly_in_triangle(piece, x) for piece in pieces)
+    if escape.after is None:
+        assert not exactly_inside(loop.system.state_set, x)
+        return
+    mode, u = loop.system.modes[escape.mode], exact_input(loop.network, x)
+    assert exactly_inside(mode.region, [*x, *u]) and exactly_inside(mode.disturbance, escape.disturbance)
+    for i in range(2):
+        row = [Fraction(repr(a)) for a in (*mode.A[i].tolist(), *mode.B[i].tolist())]
+        after = sum(a * value for a, value in zip(row, [*x, *u])) + Fraction(repr(mode.p.tolist()[i]))
+        assert after + escape.disturbance[i] == escape.after[i]
+    assert not any(exactly_in_triangle(piece, escape.after) for piece in pieces)
+
+
+def _exact_dot(row, values):
+    return sum((Fraction(a) * value for a, value in zip(row, values)), Fraction(0))

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import mireach as mr
 from mireach import plotting
+from mireach.seeds import SeedRow
 
 
 @pytest.fixture
@@ -50,3 +52,39 @@ def test_trajectories_get_one_label(ax):
     assert len(ax.lines) == 3 and len(ax.get_legend_handles_labels()[1]) == 1
     plotting.draw_trajectories(ax, np.zeros((5, 2)), label="one")
     assert len(ax.lines) == 4
+
+
+def test_regions_are_drawn_with_their_holes(ax):
+    frame = mr.Region.of(mr.Polytope.box([0, 0], [3, 3])) - mr.Polytope.box([1, 1], [2, 2])
+    plotting.draw_region(ax, frame, facecolor="black", edgecolor="none")
+    ax.set(xlim=(0, 3), ylim=(0, 3), position=(0, 0, 1, 1))
+    canvas = FigureCanvasAgg(ax.figure)
+    canvas.draw()
+    dark = np.asarray(canvas.buffer_rgba())[..., 0] < 128
+    height, width = dark.shape
+    assert dark[height // 6, width // 6] and not dark[height // 2, width // 2]
+    assert len(plotting.draw_region(ax, mr.Region.of()).get_path()) == 0
+
+
+def test_the_maximal_set_is_labelled_with_its_size_and_each_loss_with_its_step(ax):
+    case = mr.case_study("double_integrator")
+    safe, maximal = mr.safe_set(case.loop), mr.maximal_safe_set(case.loop, prove=False)
+    plotting.plot_maximal(ax, case.system, safe, maximal)
+    assert "5.9 times" in "".join(ax.get_legend_handles_labels()[1]) + "".join(
+        text.get_text() for text in ax.get_legend().get_texts()
+    )
+    other = Figure().add_subplot()
+    plotting.plot_lost(other, maximal.history, case.system.state_set)
+    assert other.get_legend_handles_labels()[1][:2] == ["lost at $k = 1$", "lost at $k = 2$"]
+    assert len(other.patches) == maximal.iterations + 1
+
+
+def test_areas_of_a_study_are_drawn_as_shares_of_x(ax):
+    row = SeedRow(0, 0.1, 10, "proven", 1, safe_area=2.0, maximal_area=3.0)
+    plotting.plot_areas(ax, {"pwa": [row], "double_integrator": [row]}, {"pwa": 4.0, "double_integrator": 8.0})
+    drawn = [marks.get_offsets()[:, 0].tolist() for marks in ax.collections]
+    assert drawn == [[0.5], [0.75], [0.25], [0.375]]
+    none = Figure().add_subplot()
+    plotting.plot_areas(none, {"pwa": [row, SeedRow(1, 0.1, 10, "refuted", 1, maximal_area=1.0)]}, {"pwa": 4.0})
+    labels = [label.get_text() for label in none.get_yticklabels()]
+    assert labels[0].endswith(": 1 of 2") and labels[1].endswith("maximal set: 2 of 2")

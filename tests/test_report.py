@@ -55,6 +55,16 @@ def test_all_trajectories_stay_and_enter(report, name):
     assert counts["simulated"] == counts["inside_safe_set"] == counts["entered_terminal_set"] == 200
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_reported_maximal_set_is_proven_and_holds_the_safe_set(report, name):
+    case = report["cases"][name]
+    maximal = mr.Region.from_dict(case["maximal_safe_set"])
+    assert case["maximal_safe_set"]["verdict"] == "proven"
+    assert maximal.area == pytest.approx(case["maximal_safe_set"]["area"])
+    assert case["maximal_safe_set"]["outer_area"] - maximal.area < 1e-6 * maximal.area
+    assert mr.Region.of(mr.Polytope.from_dict(case["safe_set"])).is_subset(maximal, tol=1e-7)
+
+
 def test_table_has_a_row_for_every_number_of_the_paper(folder):
     text = (folder / "report.md").read_text()
     for item in (
@@ -69,12 +79,13 @@ def test_table_has_a_row_for_every_number_of_the_paper(folder):
         "0.1186",
         "1 + 9e-07",
         "Theorem 2",
+        "area of the maximal safe set",
     ):
         assert item in text
 
 
 def test_figures_are_drawn_as_svg_and_png(folder):
-    for name in ("figure1", "figure2", "figure3"):
+    for name in ("figure1", "figure2", "figure3", "maximal_set", "seed_areas"):
         assert (folder / f"{name}.svg").stat().st_size > 10_000
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from mireach import MaxoutNetwork, MireachError, seeds
-from mireach.case_studies import NAMES, data_file
+from mireach.case_studies import NAMES, case_study, data_file
 from mireach.errors import CorruptFileError
+from mireach.planar import maximal_safe_set
 from mireach.seeds import SeedRow, analyse_seed, choose, load_networks, load_rows, save_rows, study
 
 ROW = SeedRow(0, 0.01, 100, "proven", 1, -7.3, 9.0, -10.0, 8.52, 50, True, 1.1)
@@ -58,6 +59,42 @@ def test_shipped_study_holds_fifty_seeds_and_the_shipped_network_is_the_chosen_o
         chosen.steps,
         chosen.criterion,
     )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_study_holds_the_maximal_safe_sets(name):
+    rows = load_rows(data_file(name, "seeds.csv"))
+    for row in rows:
+        assert row.maximal_verdict in ("proven", "refuted", "unknown")
+        assert (row.maximal_area > 0) == (row.maximal_verdict == "proven")
+        assert (row.safe_area > 0) == (row.verdict == "proven")
+        if row.safe_area and row.maximal_area:  # F_max is RPI, so the maximal set holds it
+            assert row.area_ratio == row.maximal_area / row.safe_area >= 1
+    chosen = choose(name, rows)
+    case = case_study(name)
+    again = maximal_safe_set(case.loop, prove=False)
+    assert again.set.area == pytest.approx(chosen.maximal_area) and again.iterations == chosen.maximal_iterations
+
+
+def test_analysing_a_study_again_changes_no_other_column(tmp_path, monkeypatch):
+    row, network = load_rows(data_file("pwa", "seeds.csv"))[72], load_networks("pwa")[72]
+    stale = replace(row, safe_area=0.0, maximal_verdict="", maximal_area=0.0, area_ratio=math.nan)
+    monkeypatch.setattr(seeds, "load_rows", lambda path: [stale])
+    monkeypatch.setattr(seeds, "load_networks", lambda name: {72: network})
+    said = seeds.reanalyse("pwa", jobs=1, folder=tmp_path, progress=False)
+    (found,) = load_rows(tmp_path / "seeds.csv")
+    assert found.maximal_area == pytest.approx(row.maximal_area) and found.area_ratio == pytest.approx(row.area_ratio)
+    new = {"maximal_area": 0.0, "area_ratio": 0.0, "maximal_seconds": 0.0}
+    assert same(replace(found, **new), replace(row, **new)) and "1 of 1" in said
+
+
+def test_a_study_from_before_the_last_columns_can_be_read(tmp_path):
+    file = tmp_path / "seeds.csv"
+    save_rows(file, [ROW])
+    names, values, end = file.read_text().splitlines()
+    old = [",".join(line.split(",")[:-6]) for line in (names, values)]
+    file.write_text("\n".join([*old, end]) + "\n")
+    assert same(load_rows(file)[0], ROW)
 
 
 def test_study_runs_on_a_dask_cluster_and_gives_what_this_machine_gives():

@@ -13,8 +13,10 @@ from .invariance import (
 )
 from .loop import ClosedLoop
 from .network import Layer, MaxoutNetwork
+from .planar import attractor, exact_reach, largest_disturbance, maximal_safe_set, prove_rpi
 from .polytope import Polytope, box_directions, directions
 from .reach import outer_reach, outer_step, support
+from .region import Region
 from .system import Mode, NonlinearSystem, PWASystem
 
 __all__ = [
@@ -27,17 +29,23 @@ __all__ = [
     "NonlinearSystem",
     "PWASystem",
     "Polytope",
+    "Region",
     "SolverError",
     "SolverStopped",
+    "attractor",
     "box_directions",
     "case_study",
     "check_rpi",
     "contraction",
     "directions",
+    "exact_reach",
     "fit_pwa",
+    "largest_disturbance",
+    "maximal_safe_set",
     "outer_reach",
     "outer_step",
     "prove_error",
+    "prove_rpi",
     "safe_set",
     "scaled_minimal_set",
     "support",

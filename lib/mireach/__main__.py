@@ -17,7 +17,7 @@ def main(arguments=None):
     task = tasks.add_parser("reproduce", parents=[quiet], help="both case studies: figures, report, table")
     task.add_argument("--results", default="results", help="folder of report.json and report.md")
     task.add_argument("--figures", default="docs/figures", help="folder of the figures")
-    task.add_argument("--engine", choices=["cells", "milp", "cvxpy"], help="default: cells")
+    task.add_argument("--engine", choices=["cells", "milp", "exact", "cvxpy"], help="default: cells")
     task.add_argument("--no-cross-check", action="store_true", help="leave out the comparison with the MILP")
     task.set_defaults(run=_reproduce)
 
@@ -32,6 +32,7 @@ def main(arguments=None):
     task.add_argument("--count", type=int, default=50, help="number of seeds, counted from 0")
     task.add_argument("--jobs", type=int, default=-1, help="processes; -1 for all cores")
     task.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers are used instead")
+    task.add_argument("--analyse-only", action="store_true", help="train nothing: the maximal safe sets of the study")
     task.add_argument("--output", help="folder; default: data/CASE of the checkout")
     task.set_defaults(run=_seeds)
 
@@ -60,8 +61,11 @@ def _train(options):
 
 
 def _seeds(options):
-    from .seeds import make_study
+    from .seeds import make_study, reanalyse
 
+    if options.analyse_only:
+        print(reanalyse(options.case, options.jobs, options.output, not options.quiet))
+        return 0
     print(make_study(options.case, options.count, options.jobs, options.scheduler, options.output, not options.quiet))
     return 0
 

@@ -4,11 +4,17 @@ Colours are from the Okabe-Ito palette, and every kind of set also differs by li
 figures can be read in grey.
 """
 
+from itertools import pairwise
+
 import numpy as np
+
+from .region import Region
 
 try:
     from matplotlib import rc_context
-    from matplotlib.patches import Polygon
+    from matplotlib.cm import cividis
+    from matplotlib.patches import PathPatch, Polygon
+    from matplotlib.path import Path
 except ImportError as missing:
     raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
 
@@ -18,6 +24,8 @@ SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
 TERMINAL = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
 EARLIER = {"facecolor": "none", "edgecolor": GREEN, "linewidth": 0.7, "linestyle": (0, (5, 3))}
 SEQUENCE = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
+MAXIMAL = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
+GOLDEN = 0.618034  # multiples of it, less whole numbers, spread evenly: jitter that is the same every time
 
 
 def draw_set(ax, P, **style):
@@ -41,6 +49,24 @@ def draw_set(ax, P, **style):
     colour, label = style.get("edgecolor", BLACK), style.get("label")
     line = "." if len(corners) == 1 else style.get("linestyle", "-")
     return ax.plot(*corners.T, line, color=colour, linewidth=style.get("linewidth"), label=label)[0]
+
+
+def draw_region(ax, region, **style):
+    """Draw the polygons of a Region, holes left open; its segments and points are not shown.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    region : Region
+    **style
+        Of matplotlib.patches.PathPatch, such as the module's MAXIMAL; label included.
+
+    Returns
+    -------
+    matplotlib artist
+    """
+    paths = [Path(ring, closed=True) for ring in region.rings()]
+    return ax.add_patch(PathPatch(Path.make_compound_path(*paths) if paths else Path(np.zeros((0, 2))), **style))
 
 
 def draw_regions(ax, system):
@@ -156,6 +182,71 @@ def plot_vector_field(ax, system, safe, terminal, step, path, reach, arrows=34):
     ax.plot(*path.T, color=RED, linewidth=1.5, marker="o", markersize=3, zorder=4, label="trajectory of the plant")
     label_axes(ax, safe.set)
     legend_above(ax, 4)
+
+
+def plot_maximal(ax, system, safe, maximal):
+    """F_max inside the maximal safe set inside X, with their areas; what is dotted can be driven out of X.
+
+    Parameters
+    ----------
+    safe : SafeSet
+    maximal : MaximalSafeSet
+        With a set.
+    """
+    X, F = Region.of(system.state_set), Region.of(safe.set)
+    label = r"lost: can be driven out of $\mathcal{X}$"
+    draw_region(ax, X - maximal.set, facecolor="#F2F2F2", edgecolor=GREY, linewidth=0, hatch="....", label=label)
+    label = f"maximal safe set, {maximal.set.area / F.area:.1f} times as large"
+    draw_region(ax, maximal.set, **MAXIMAL, label=label)
+    own = {**SAFE, "facecolor": "#009E7380", "hatch": "////"}
+    draw_set(ax, safe.set, **own, label=r"the paper's $\mathcal{F}_{\max}$")
+    draw_region(ax, X, facecolor="none", edgecolor=BLACK, linewidth=1.2)
+    label_axes(ax, system.state_set)
+    legend_above(ax, 3)
+
+
+def plot_lost(ax, history, state_set):
+    """Which states are lost at which step of S_0, S_1, ...: darker is later, white with a blue edge is what stays.
+
+    Parameters
+    ----------
+    history : list of Region
+        Such as `MaximalSafeSet.history`.
+    state_set : Polytope
+    """
+    steps = len(history) - 1
+    for k, (before, after) in enumerate(pairwise(history), start=1):
+        shade = cividis(1 - k / (steps + 1))
+        draw_region(ax, before - after, facecolor=shade, edgecolor="white", linewidth=0.4, label=f"lost at $k = {k}$")
+    draw_region(ax, history[-1], facecolor="none", edgecolor=BLUE, linewidth=1.8, label=rf"$\mathcal{{S}}_{{{steps}}}$")
+    label_axes(ax, state_set)
+
+
+def plot_areas(ax, studies, sizes):
+    """Areas of F_max and of the maximal safe set, one mark a network of a seed study, a row of marks for each.
+
+    Parameters
+    ----------
+    studies : dict of str to list of SeedRow
+        By the name of the case.
+    sizes : dict of str to float
+        Areas of X, by which the areas are divided.
+    """
+    marks = (("safe_area", r"$\mathcal{F}_{\max}$", "^", GREEN), ("maximal_area", "maximal set", "o", BLUE))
+    ticks = []
+    for name, rows in studies.items():
+        for field, what, marker, colour in marks:
+            place = -len(ticks)
+            areas = np.array([getattr(row, field) for row in rows]) / sizes[name]
+            spread = place + 0.5 * (np.array([row.seed for row in rows]) * GOLDEN % 1 - 0.5)
+            found = areas > 0
+            ax.scatter(areas[found], spread[found], s=16, marker=marker, color=colour, edgecolors=BLACK, linewidths=0.3)
+            ticks.append(f"{name.replace('_', ' ')}\n{what}: {found.sum()} of {len(rows)}")
+    ax.set(xlim=(0, 1.02), xlabel=r"area, share of $\mathcal{X}$ (one mark for each network that has the set)")
+    ax.set_yticks(-np.arange(len(ticks)), ticks)
+    ax.set_ylim(0.5 - len(ticks), 0.5)
+    ax.grid(axis="x", color="#DDDDDD")
+    ax.set_axisbelow(True)
 
 
 def plot_history(axes, history, chosen=None, name=r"\mathcal{F}"):

@@ -10,10 +10,16 @@ from .checks import real_array, require_columns, require_kind, whole_number
 from .loop import ClosedLoop
 from .polytope import Polytope
 
-ENGINES = {"cells": "cells", "milp": "milp", "cvxpy": "model"}  # name -> module in `engines` with its `support`
+ENGINES = {
+    "cells": "cells",
+    "milp": "milp",
+    "exact": "exact",
+    "cvxpy": "model",
+}  # name -> module in `engines` with its `support`
 RESOLUTION = {
     "cells": 0.0,
     "milp": 1e-6,
+    "exact": 0.0,
     "cvxpy": 1e-5,
 }  # what an engine's bound may lie above the truth, and ties with it
 
@@ -37,7 +43,7 @@ def support(loop, F, V, steps=1, engine=None, **options):
         Directions, one a row.
     steps : int
         The k of R_k.
-    engine : "cells", "milp", "cvxpy" or None
+    engine : "cells", "milp", "exact", "cvxpy" or None
         None takes the cells for two states, else the MILP.
     **options
         Passed to the engine, such as `time_limit` for the MILP.

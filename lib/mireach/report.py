@@ -22,14 +22,17 @@ from .invariance import (
     terminal_set,
     ultimately_bounded,
 )
+from .planar import MaximalSafeSet, maximal_safe_set
 from .polytope import Polytope
 from .reach import outer_reach, support
+from .region import Region
 from .seeds import load_rows
 
 FORMAT = "mireach-report/1"
 SETTLING = 10  # steps that trajectories run on after they have to be in the terminal set
 INSIDE = 1e-9  # simulated states count as inside a set to within this, for rounding (units of x)
 TRAJECTORIES = 200
+SIZES = {"seed_areas": (6.4, 3.8)}  # of figures that are not square, in inches
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +48,7 @@ class Analysis:
     centred : TerminalSet or None
         About the closed loop's equilibrium; None if it has none.
     minimal : MinimalSet
+    maximal : MaximalSafeSet
     tubes : list of arrays (N, steps + 1, n)
         Trajectories with disturbance (of the plant, where there is one), one array an initial state or draw.
     nominal : array (k, steps + 1, n)
@@ -65,6 +69,7 @@ class Analysis:
     terminal: TerminalSet
     centred: TerminalSet | None
     minimal: MinimalSet
+    maximal: MaximalSafeSet
     tubes: list
     nominal: np.ndarray
     reach: list
@@ -124,6 +129,8 @@ def analyse(case, engine=None, cross_check="milp", progress=False):
         centred = _about_equilibrium(case, safe, engine)
     with _timed(seconds, "scaled_minimal_set"):
         minimal = scaled_minimal_set(loop, case.directions, case.epsilon, safe=safe, engine=engine)
+    with _timed(seconds, "maximal_safe_set"):
+        maximal = maximal_safe_set(loop)
     with _timed(seconds, "trajectories"):
         tubes, nominal = _simulate(case, safe, terminal.steps + SETTLING)
         point = Polytope(case.directions, case.directions @ case.starts[0])
@@ -138,22 +145,31 @@ def analyse(case, engine=None, cross_check="milp", progress=False):
     if cross_check is not None:
         with _timed(seconds, "cross_check"):
             check = _cross_check(case, safe, terminal, engine, cross_check, progress)
-    return Analysis(case, safe, terminal, centred, minimal, tubes, nominal, reach, growth, bounded, check, seconds)
+    return Analysis(
+        case, safe, terminal, centred, minimal, maximal, tubes, nominal, reach, growth, bounded, check, seconds
+    )
 
 
 def draw_figures(analyses, folder):
-    """Figures 1 and 2 (case `pwa`) and 3 (case `double_integrator`), each as SVG and PNG."""
+    """Figures 1 and 2 (`pwa`), 3 and the maximal safe set (`double_integrator`), and the areas of the seed study.
+
+    Each as SVG and PNG.
+    """
     from matplotlib.figure import Figure
 
     from . import plotting
 
     folder.mkdir(parents=True, exist_ok=True)
+    studies = {analysis.case.name: load_rows(data_file(analysis.case.name, "seeds.csv")) for analysis in analyses}
+    sizes = {analysis.case.name: Region.of(analysis.case.system.state_set).area for analysis in analyses}
+    drawings = {"seed_areas": partial(plotting.plot_areas, studies=studies, sizes=sizes)}
     for analysis in analyses:
-        for name, draw in _drawings(analysis).items():
-            figure = Figure(figsize=(6.4, 6.2), layout="constrained")
-            draw(figure.add_subplot())
-            plotting.save_svg(figure, folder / f"{name}.svg", bbox_inches="tight")
-            figure.savefig(folder / f"{name}.png", dpi=150, bbox_inches="tight")
+        drawings |= _drawings(analysis)
+    for name, draw in drawings.items():
+        figure = Figure(figsize=SIZES.get(name, (6.4, 6.2)), layout="constrained")
+        draw(figure.add_subplot())
+        plotting.save_svg(figure, folder / f"{name}.svg", bbox_inches="tight")
+        figure.savefig(folder / f"{name}.png", dpi=150, bbox_inches="tight")
 
 
 def _drawings(analysis):
@@ -170,7 +186,10 @@ def _drawings(analysis):
         }
     path = analysis.nominal[0][: terminal.steps + 1]
     step = partial(case.plant.step, case.network)
-    return {"figure3": partial(plotting.plot_vector_field, **sets, step=step, path=path, reach=analysis.reach)}
+    return {
+        "figure3": partial(plotting.plot_vector_field, **sets, step=step, path=path, reach=analysis.reach),
+        "maximal_set": partial(plotting.plot_maximal, system=case.system, safe=safe, maximal=analysis.maximal),
+    }
 
 
 def as_dict(analysis):
@@ -194,6 +213,7 @@ def as_dict(analysis):
             "steps": analysis.minimal.steps,
             "reached_at": analysis.minimal.reached_at,
         },
+        "maximal_safe_set": _maximal_dict(analysis.maximal),
         "trajectories": count_trajectories(analysis),
         "cross_check": analysis.cross_check,
         "paper": case.paper,
@@ -295,6 +315,16 @@ def _terminal_dict(terminal):
     }
 
 
+def _maximal_dict(maximal):
+    return {
+        **({} if maximal.set is None else {**maximal.set.to_dict(), "area": maximal.set.area}),
+        "outer_area": maximal.outer.area,
+        "iterations": maximal.iterations,
+        "verdict": maximal.verdict,
+        "slack": maximal.slack,
+    }
+
+
 def _number(value):
     """A float for JSON, which knows no NaN."""
     return float(value) if np.isfinite(value) else None
@@ -360,6 +390,15 @@ def _common_rows(analysis):
         "-",
         where,
         reached if minimal.set is not None else minimal.reason,
+    )
+    maximal = analysis.maximal
+    area = 0.0 if maximal.set is None else maximal.set.area
+    yield (
+        "area of the maximal safe set (of F_max)",
+        "cannot be computed",
+        f"{area:.2f} ({Region.of(analysis.safe.set).area:.2f})",
+        f"{maximal.verdict} in rational arithmetic, {maximal.iterations} iterations; the true set has at most "
+        f"{maximal.outer.area - area:.1g} more",
     )
     counts = count_trajectories(analysis)
     text = (

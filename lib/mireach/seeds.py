@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -18,6 +18,8 @@ from .errors import CorruptFileError, MireachError
 from .files import END, write_whole
 from .invariance import safe_set, terminal_set
 from .network import MaxoutNetwork
+from .planar import maximal_safe_set
+from .region import Region
 
 CLEAR = 1e-6  # an alpha counts as above 1 by more than this, what a MILP solver resolves
 LOSS_FACTOR = 2.0  # a network may be shipped if its loss is within this factor of the best eligible one
@@ -45,6 +47,17 @@ class SeedRow:
     steps_equilibrium, criterion_equilibrium, alpha_equilibrium : int, bool, float
         The same about the closed loop's equilibrium; 0, False and nan if it has none.
     train_seconds, analysis_seconds : float
+        The latter without what follows.
+    safe_area : float
+        Of F_max, in units of x1 times x2; 0 if none was found.
+    maximal_verdict : str
+        Of the maximal safe set.
+    maximal_area, area_ratio : float
+        Of the maximal safe set (0 if none was found), and how many times F_max that is (nan without F_max).
+    maximal_iterations : int
+        Of the maximal safe set.
+    maximal_seconds : float
+        For that set, its outer bound and its proof.
     """
 
     seed: int
@@ -64,6 +77,12 @@ class SeedRow:
     alpha_equilibrium: float = np.nan
     train_seconds: float = np.nan
     analysis_seconds: float = np.nan
+    safe_area: float = 0.0
+    maximal_verdict: str = ""
+    maximal_area: float = 0.0
+    area_ratio: float = np.nan
+    maximal_iterations: int = 0
+    maximal_seconds: float = np.nan
 
 
 def study(name, seeds=range(50), *, jobs=-1, scheduler=None, progress=True, **training):
@@ -148,8 +167,44 @@ def analyse_seed(name, seed, network, loss):
             except ValueError:  # the loop has no equilibrium: the row keeps its defaults
                 continue
             row |= {"steps" + suffix: found.steps, "criterion" + suffix: found.criterion, "alpha" + suffix: found.alpha}
-    plain = {key: value.item() if isinstance(value, np.generic) else value for key, value in row.items()}
-    return SeedRow(**plain, analysis_seconds=perf_counter() - begin)
+    row["analysis_seconds"] = perf_counter() - begin
+    row |= _maximal_columns(case, safe)
+    return SeedRow(**{key: value.item() if isinstance(value, np.generic) else value for key, value in row.items()})
+
+
+def reanalyse(name, jobs=-1, folder=None, progress=True):
+    """Compute the columns of the maximal safe set for the networks of a shipped study, without training.
+
+    Parameters
+    ----------
+    name : str
+        Of the case study.
+    jobs : int
+        Processes on this machine, -1 for all cores.
+    folder : str, Path or None
+        Where seeds.csv is written; None is the case's folder in `data`. The other columns stay as they are.
+    progress : bool
+
+    Returns
+    -------
+    str
+        What came out, for people.
+    """
+    from joblib import Parallel, delayed
+
+    rows, networks = load_rows(data_file(name, "seeds.csv")), load_networks(name)
+    tasks = [delayed(_maximal_of)(name, networks[row.seed]) for row in rows]
+    found = Parallel(n_jobs=jobs, return_as="generator")(tasks)
+    found = list(tqdm(found, total=len(rows), desc="seeds", unit="network", disable=not progress))
+    rows = [replace(row, **columns) for row, columns in zip(rows, found)]
+    path = Path(folder or data_file(name, "")) / "seeds.csv"
+    save_rows(path, rows)
+    ratios = [row.area_ratio for row in rows if np.isfinite(row.area_ratio)]
+    proven = sum(row.maximal_verdict == "proven" for row in rows)
+    return (
+        f"{path}: {proven} of {len(rows)} networks have a proven maximal safe set; where there is an F_max, its area "
+        f"is {min(ratios):.3g} to {max(ratios):.3g} times that of F_max, {np.median(ratios):.3g} in the middle"
+    )
 
 
 def choose(name, rows):
@@ -203,7 +258,7 @@ def save_rows(path, rows):
 
 
 def load_rows(path):
-    """Read a study that `save_rows` wrote: list of SeedRow.
+    """Read a study that `save_rows` wrote: list of SeedRow. An older study may lack the last columns.
 
     Raises
     ------
@@ -217,7 +272,9 @@ def load_rows(path):
     try:
         *lines, end = Path(path).read_text(encoding="utf-8").splitlines() or [""]
         reader = csv.DictReader(lines)
-        if reader.fieldnames != list(kinds):
+        needed = [field.name for field in fields(SeedRow) if field.default is MISSING]
+        names = reader.fieldnames or []
+        if names != list(kinds)[: len(names)] or len(names) < len(needed):
             raise ValueError("its first line does not name the columns of SeedRow")
         if end != END.format(len(lines) - 1):
             raise ValueError("its last line does not give the number of rows it holds; it is truncated")
@@ -304,6 +361,28 @@ def retrain(name, seed=None, folder=None, progress=True):
     network, loss = train_case(name, seed, data, progress=progress)
     network.save(folder / "network.json")
     return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {analyse_seed(name, seed, network, loss)}"
+
+
+def _maximal_of(name, network):
+    """The columns of the maximal safe set for a network."""
+    case = case_study(name, network)
+    return _maximal_columns(case, safe_set(case.loop, case.safe_directions))
+
+
+def _maximal_columns(case, safe):
+    """The columns of the maximal safe set: dict."""
+    begin = perf_counter()
+    found = maximal_safe_set(case.loop)
+    seconds = perf_counter() - begin
+    safe_area, area = (0.0 if part.set is None else Region.of(part.set).area for part in (safe, found))
+    return {
+        "safe_area": safe_area,
+        "maximal_verdict": found.verdict,
+        "maximal_area": area,
+        "area_ratio": area / safe_area if safe_area else np.nan,
+        "maximal_iterations": found.iterations,
+        "maximal_seconds": seconds,
+    }
 
 
 def _collect(results, count, progress):

@@ -116,6 +116,17 @@ def cells(loop):
     return _loop_cells(loop).cells
 
 
+def dynamics(loop):
+    """The cells of a closed loop with x+ = M x + c on each of them: LoopCells, the same object for the same loop.
+
+    Raises
+    ------
+    ValueError
+        As `cells`.
+    """
+    return _loop_cells(loop)
+
+
 def support(loop, F, V, steps=1):
     """h of R_k(F) along the rows of V, by the vertices of the cells (Lemma 2 without its MILP).
 

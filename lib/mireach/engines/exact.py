@@ -1,0 +1,494 @@
+"""The cells of a closed loop in the plane in rational arithmetic: no rounding, so an answer is a proof.
+
+What the numbers mean: data of the plant (A, B, p, regions, X, disturbance sets) are the decimals that are
+written, 0.1 is one tenth; weights of the network, templates and corners of pieces are the floats they are.
+Rationals are python-flint's `fmpq`. A polygon is a list of its corners, in order around it and none of them
+superfluous; one corner is a point, two are a segment.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from ..balls import flint
+from . import cells as float_cells
+from .common import Support, checked_query, empty_support, replay
+
+AROUND = 2.0**-40  # boxes that sort out what cannot meet are this much larger (relative), for they are floats
+MOST_PARTS = 10_000  # parts that the rest of one image may fall into while it is compared with a region
+
+
+@dataclass(frozen=True, eq=False)
+class ExactCell:
+    """A closed convex polygon of X on which x+ = M x + c + d, d in D of `mode`.
+
+    Attributes
+    ----------
+    corners : list of (fmpq, fmpq)
+    mode : int
+    M : 2 pairs of fmpq
+    c : pair of fmpq
+    """
+
+    corners: list
+    mode: int
+    M: tuple
+    c: tuple
+
+    def image(self, x):
+        """M x + c."""
+        return tuple(row[0] * x[0] + row[1] * x[1] + offset for row, offset in zip(self.M, self.c))
+
+
+@dataclass(frozen=True)
+class Escape:
+    """A step that leads out of a set, in rational numbers; `successor` replays it.
+
+    Attributes
+    ----------
+    state, disturbance, after : pair of Fraction
+        A state of the set, a disturbance of the mode's set, and where they lead: outside the set.
+        The last two are None where the state itself has no successor.
+    mode : int or None
+        Counted from 0.
+    """
+
+    state: tuple
+    mode: int | None = None
+    disturbance: tuple | None = None
+    after: tuple | None = None
+
+    def __str__(self):
+        x = [round(float(value), 6) for value in self.state]
+        if self.after is None:
+            return f"x = {x} has no successor: it lies outside the state set, or no region contains it with its input"
+        d, after = ([round(float(value), 6) for value in pair] for pair in (self.disturbance, self.after))
+        return f"x = {x}, mode {self.mode + 1}, d = {d} -> {after}"
+
+
+def support(loop, F, V, steps=1):
+    """h of R_1(F) along the rows of V, without rounding.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states.
+    F : Polytope
+        Its rows are the floats they are.
+    V : array (k, 2)
+    steps : int
+        1; the other engines do more.
+
+    Returns
+    -------
+    Support
+        `bound` is the smallest float that is not below the exact value, `value` the nearest float.
+
+    Raises
+    ------
+    ValueError
+        If the loop has not two states, or `steps` is not 1.
+    """
+    V, steps = checked_query(loop, F, V, steps)
+    if steps != 1:
+        raise ValueError(f'the exact engine takes one step; got steps = {steps}; use engine="cells"')
+    rows = [(binary(a), binary(b)) for a, b in zip(F.H.tolist(), F.h.tolist())]
+    spread, best = disturbances(loop), [None] * len(V)
+    directions = [binary(v) for v in V.tolist()]
+    for cell in cells(loop):
+        corners = _clip_all(cell.corners, rows)
+        for k, v in enumerate(directions):
+            for x in corners:
+                d = max(spread[cell.mode], key=lambda d, v=v: _dot(v, d))
+                value = _dot(v, cell.image(x)) + _dot(v, d)
+                if best[k] is None or value > best[k][0]:
+                    best[k] = (value, cell.mode, x, d)
+    if any(found is None for found in best):
+        return empty_support(len(V))
+    value, bound = (np.array([rounded(found[0]) for found in best]) for rounded in (_nearest, _above))
+    floats = [[np.array([_nearest(entry) for entry in pair]) for pair in found[2:]] for found in best]
+    witness = tuple(replay(loop, x, [found[1]], [d]) for found, (x, d) in zip(best, floats))
+    return Support(value, bound, witness)
+
+
+def first_escape(loop, pieces):
+    """A step of the loop that leads out of a union of convex pieces, or None: then the union is RPI, which is proven.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states.
+    pieces : sequence of arrays (v, 2)
+        The corners of convex sets, as the floats they are.
+
+    Returns
+    -------
+    Escape or None
+        States without a successor count as escapes: those outside X, and those in a gap between regions, however
+        narrow.
+
+    Raises
+    ------
+    ArithmeticError
+        If the rest of an image falls into too many parts to go on.
+
+    Notes
+    -----
+    For every cell C and every piece P, the image of C & P, widened by D, less all pieces has to be empty.
+    Parts of it without interior relative to the image are left out: the image less a closed set is open
+    relative to the image, so that it is empty if it has no interior there. The same way every piece less all
+    cells has to be empty.
+    """
+    flint()
+    hulls = [_hull([binary(corner) for corner in piece]) for piece in pieces]
+    limits = _decimal_rows(loop.system.state_set)
+    for corners in hulls:
+        for x in corners:
+            if any(_dot(a, x) > b for a, b in limits):
+                return Escape(_fractions(x))
+    every = cells(loop)
+    around = [(_sides(cell.corners), _box(cell.corners)) for cell in every]
+    for corners in hulls:
+        gap = _less(corners, around)
+        if gap:
+            return Escape(_fractions(_middle(gap)))
+    sides, boxes = [_sides(corners) for corners in hulls], np.array([_box(corners) for corners in hulls])
+    others = list(zip(sides, boxes.tolist()))
+    spread = disturbances(loop)
+
+    def leaves(cell, part):
+        """The escape from a part of a cell, or None."""
+        ends = {}
+        for x in part:
+            y = cell.image(x)
+            ends |= {(y[0] + d[0], y[1] + d[1]): (x, d) for d in spread[cell.mode]}
+        image = _hull(list(ends))
+        rest = _less(image, [others[j] for j in np.flatnonzero(_meeting(boxes, np.array(_box(image))))])
+        return _escape(cell.mode, image, ends, rest) if rest else None
+
+    for cell in every:
+        met = np.flatnonzero(_meeting(boxes, np.array(_box(cell.corners))))
+        if not len(met) or leaves(cell, cell.corners) is None:  # most cells stay in the set as a whole
+            continue
+        for i in met:
+            part = _clip_all(cell.corners, sides[i])
+            escape = leaves(cell, part) if part else None
+            if escape is not None:
+                return escape
+    return None
+
+
+def successor(loop, state, mode, disturbance):
+    """A x + B Phi(x) + p + d of a mode for rational x and d: pair of Fraction."""
+    q = flint().fmpq
+    x, d = (
+        [q(Fraction(entry).numerator, Fraction(entry).denominator) for entry in pair] for pair in (state, disturbance)
+    )
+    y = x
+    for layer in loop.network.hidden:
+        z = [_dot(binary(row), y) + binary(b) for row, b in zip(layer.weight.tolist(), layer.bias.tolist())]
+        y = [max(z[i : i + layer.pool]) for i in range(0, len(z), layer.pool)]
+    u = [_dot(binary(row), y) + binary(b) for row, b in zip(loop.network.weight.tolist(), loop.network.bias.tolist())]
+    A, B, p = (decimal(getattr(loop.system.modes[mode], name).tolist()) for name in "ABp")
+    return _fractions([_dot(A[i], x) + _dot(B[i], u) + p[i] + d[i] for i in range(2)])
+
+
+# -- numbers ------------------------------------------------------------------------------------------
+
+
+def binary(value):
+    """A float as the binary fraction that it is; lists are taken entry by entry."""
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return tuple(binary(entry) for entry in value)
+    return flint().fmpq(*float(value).as_integer_ratio())
+
+
+def decimal(value):
+    """A float as the shortest decimal that reads back to it; lists are taken entry by entry."""
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return tuple(decimal(entry) for entry in value)
+    written = Fraction(repr(float(value)))
+    return flint().fmpq(written.numerator, written.denominator)
+
+
+def _fractions(pair):
+    """A pair of fmpq as Fractions of the standard library."""
+    return tuple(Fraction(int(value.p), int(value.q)) for value in pair)
+
+
+def _nearest(value):
+    """The float nearest to an fmpq."""
+    return int(value.p) / int(value.q)
+
+
+def _above(value):
+    """The smallest float that is not below an fmpq."""
+    near = _nearest(value)
+    return near if binary(near) >= value else float(np.nextafter(near, np.inf))
+
+
+def _dot(a, b):
+    total = a[0] * b[0]
+    for left, right in zip(a[1:], b[1:]):
+        total += left * right
+    return total
+
+
+# -- polygons -----------------------------------------------------------------------------------------
+
+
+def _clip(corners, a, b):
+    """The part of a polygon with a x <= b."""
+    excess = [_dot(a, x) - b for x in corners]
+    if all(value <= 0 for value in excess):
+        return corners
+    kept = []
+    for i, (x, value) in enumerate(zip(corners, excess)):
+        if value <= 0:
+            kept.append(x)
+        y, after = corners[i - len(corners) + 1], excess[i - len(corners) + 1]
+        if value * after < 0:
+            share = value / (value - after)
+            kept.append((x[0] + share * (y[0] - x[0]), x[1] + share * (y[1] - x[1])))
+    return [x for i, x in enumerate(kept) if i == 0 or x != kept[i - 1]]  # a segment is crossed there and back
+
+
+def _clip_all(corners, rows):
+    """The part of a polygon in all half-planes (a, b)."""
+    for a, b in rows:
+        if not corners:
+            break
+        corners = _clip(corners, a, b)
+    return corners
+
+
+def _hull(points):
+    """Corners of the convex hull, counter-clockwise (Andrew's monotone chain)."""
+    points = sorted(set(points))
+    if len(points) < 3:
+        return points
+
+    def chain(points):
+        kept = []
+        for x in points:
+            while len(kept) > 1 and _turn(kept[-2], kept[-1], x) <= 0:
+                kept.pop()
+            kept.append(x)
+        return kept[:-1]
+
+    return chain(points) + chain(points[::-1])
+
+
+def _turn(x, y, z):
+    """Twice the area of the triangle x, y, z: positive if it is counter-clockwise."""
+    return (y[0] - x[0]) * (z[1] - x[1]) - (y[1] - x[1]) * (z[0] - x[0])
+
+
+def _sides(corners):
+    """Half-planes (a, b) whose intersection is the polygon with these corners, counter-clockwise."""
+    x = corners[0]
+    if len(corners) == 1:
+        one, none = flint().fmpq(1), flint().fmpq(0)
+        normals = [(one, none), (none, one), (-one, none), (none, -one)]
+        return [(a, _dot(a, x)) for a in normals]
+    ahead = [(y[0] - x[0], y[1] - x[1]) for x, y in zip(corners, corners[1:] + corners[:1])]
+    rows = [((t[1], -t[0]), x) for t, x in zip(ahead, corners)]
+    if len(corners) == 2:
+        rows += [(t, y) for t, y in zip(ahead, corners[::-1])]
+    return [(a, _dot(a, x)) for a, x in rows]
+
+
+def _less(corners, others):
+    """A part, with interior relative to it, of a polygon less closed polygons (sides, box); or []."""
+    rest = [(corners, _box(corners))]
+    for sides, (left, bottom, right, top) in others:
+        following = []
+        for part, box in rest:
+            if box[0] > right or box[1] > top or box[2] < left or box[3] < bottom:
+                following.append((part, box))
+                continue
+            for piece in _less_one(part, sides):
+                following.append((piece, box if piece is part else _box(piece)))
+        rest = following
+        if len(rest) > MOST_PARTS:
+            raise ArithmeticError(f"the rest of an image falls into more than {MOST_PARTS} parts")
+        if not rest:
+            return []
+    return rest[0][0]
+
+
+def _less_one(part, sides):
+    """The parts of a polygon outside of another: beyond its first side, beyond its second but not its first, ..."""
+    dimension, outside = min(len(part), 3), []
+    inside = part
+    for a, b in sides:
+        beyond = [_dot(a, x) > b for x in inside]
+        if any(beyond):
+            outside.append(_clip(inside, tuple(-entry for entry in a), -b))
+            inside = _clip(inside, a, b)
+            if min(len(inside), 3) < dimension:  # what they share has no interior: nothing is taken away
+                return [part]
+    return outside
+
+
+def _middle(corners):
+    """The mean of the corners."""
+    return tuple(sum((x[i] for x in corners), flint().fmpq(0)) / len(corners) for i in range(2))
+
+
+def _box(corners):
+    """A box (left, bottom, right, top) in floats that certainly holds the polygon."""
+    x, y = [_nearest(point[0]) for point in corners], [_nearest(point[1]) for point in corners]
+    around = AROUND * (1 + max(abs(min(x)), abs(max(x)), abs(min(y)), abs(max(y))))
+    return min(x) - around, min(y) - around, max(x) + around, max(y) + around
+
+
+def _meeting(boxes, box):
+    """Which of several boxes (N, 4) meet a box (4,)."""
+    return (boxes[:, :2] <= box[2:]).all(axis=1) & (boxes[:, 2:] >= box[:2]).all(axis=1)
+
+
+def _escape(mode, image, ends, rest):
+    """The step that leads to the middle of `rest`, a part of the image; `ends` says what leads to its corners.
+
+    The middle lies in a triangle of corners of the image, and its state and disturbance lie between theirs
+    in the same proportion.
+    """
+    y = _middle(rest)
+    shares = _shares(image, y)
+    state, disturbance = (
+        tuple(sum((share * ends[corner][which][i] for corner, share in shares), flint().fmpq(0)) for i in range(2))
+        for which in (0, 1)
+    )
+    return Escape(_fractions(state), mode, _fractions(disturbance), _fractions(y))
+
+
+def _shares(corners, y):
+    """Corners of a polygon with non-negative shares that sum to 1 and average to its point y: list of pairs."""
+    first = corners[0]
+    if len(corners) == 1:
+        return [(first, flint().fmpq(1))]
+    if len(corners) == 2:
+        along = [b - a for a, b in zip(*corners)]
+        share = _dot(along, [b - a for a, b in zip(first, y)]) / _dot(along, along)
+        return [(first, 1 - share), (corners[1], share)]
+    for second, third in pairwise(corners[1:]):
+        whole = _turn(first, second, third)
+        shares = [_turn(second, third, y) / whole, _turn(third, first, y) / whole, _turn(first, second, y) / whole]
+        if min(shares) >= 0:
+            break
+    return list(zip((first, second, third), shares))
+
+
+# -- cells --------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=32)
+def cells(loop):
+    """The cells of a closed loop over X, those included that are only an edge or a point of their mode: tuple.
+
+    Raises
+    ------
+    ValueError
+        If the loop has not two states, or Phi leaves U.
+    """
+    float_cells.cells(loop)  # its checks
+    found = []
+    for number, mode in enumerate(loop.system.modes):
+        A, B, p = (decimal(getattr(mode, name).tolist()) for name in "ABp")
+        rows = list(zip(decimal(mode.region.H.tolist()), decimal(mode.region.h.tolist())))
+        of_x = [(a[:2], b) for a, b in rows if not any(a[2:])]
+        domain = _clip_all(_polygon(loop.system.state_set), of_x)
+        for corners, K, g in _affine_pieces(loop.network, domain) if domain else ():
+            for a, b in rows:
+                if any(a[2:]) and corners:
+                    of_u = tuple(_dot(a[2:], [row[i] for row in K]) for i in range(2))
+                    corners = _clip(corners, (a[0] + of_u[0], a[1] + of_u[1]), b - _dot(a[2:], g))
+            if corners:
+                M = tuple(tuple(A[i][j] + _dot(B[i], [row[j] for row in K]) for j in range(2)) for i in range(2))
+                c = tuple(_dot(B[i], g) + p[i] for i in range(2))
+                found.append(ExactCell(corners, number, M, c))
+    return tuple(found)
+
+
+def disturbances(loop):
+    """The corners of D^(i) of every mode: list of lists of pairs of fmpq.
+
+    Raises
+    ------
+    ValueError
+        If the decimals of a set have no point in common.
+    """
+    found = {}
+    for number, mode in enumerate(loop.system.modes, start=1):
+        if mode.disturbance not in found:
+            found[mode.disturbance] = _polygon(mode.disturbance)
+        if not found[mode.disturbance]:
+            raise ValueError(f"the disturbance set of mode {number} is empty if its numbers are read as decimals")
+    return [found[mode.disturbance] for mode in loop.system.modes]
+
+
+def _decimal_rows(P):
+    return list(zip(decimal(P.H.tolist()), decimal(P.h.tolist())))
+
+
+def _polygon(P):
+    """The corners of a bounded Polytope whose numbers are decimals."""
+    lower, upper = P.bounding_box()
+    (left, bottom), (right, top) = decimal((lower - 1).tolist()), decimal((upper + 1).tolist())
+    return _clip_all([(left, bottom), (right, bottom), (right, top), (left, top)], _decimal_rows(P))
+
+
+def _affine_pieces(network, domain):
+    """Polygons that cover the domain, each with K (m pairs) and g (m numbers) of Phi = K x + g on it."""
+    one, none = flint().fmpq(1), flint().fmpq(0)
+    pieces = [(domain, [(one, none), (none, one)], [none, none])]
+    for layer in network.hidden:
+        weight, bias = binary(layer.weight.tolist()), binary(layer.bias.tolist())
+        following = []
+        for corners, K, g in pieces:
+            channels = _affine(weight, bias, K, g)
+            parts = [(corners, [])]
+            for start in range(0, len(channels), layer.pool):
+                neuron = channels[start : start + layer.pool]
+                parts = [(part, [*won, neuron[j]]) for whole, won in parts for part, j in _by_winner(whole, neuron)]
+            following += [(part, [row for row, _ in won], [offset for _, offset in won]) for part, won in parts]
+        pieces = following
+    weight, bias = binary(network.weight.tolist()), binary(network.bias.tolist())
+    for corners, K, g in pieces:
+        output = _affine(weight, bias, K, g)
+        yield corners, [row for row, _ in output], [offset for _, offset in output]
+
+
+def _affine(weight, bias, K, g):
+    """weight (K x + g) + bias, as a list of (pair, number), one a row."""
+    columns = ([row[0] for row in K], [row[1] for row in K])
+    return [((_dot(w, columns[0]), _dot(w, columns[1])), _dot(w, g) + b) for w, b in zip(weight, bias)]
+
+
+def _by_winner(corners, channels):
+    """Split a polygon into the parts on which one of the channels (pair, number) is largest: list of (part, channel).
+
+    Parts of lower dimension than the polygon are left out: Phi is continuous, and their neighbours hold them.
+    """
+    values = [[_dot(row, x) + offset for x in corners] for row, offset in channels]
+    top = [max(column) for column in zip(*values)]
+    for j, value in enumerate(values):
+        if value == top:
+            return [(corners, j)]
+    found = []
+    for j, (row, offset) in enumerate(channels):
+        part = corners
+        for i, (other, other_offset) in enumerate(channels):
+            if i == j or len(part) < min(len(corners), 3):
+                continue
+            a, b = (other[0] - row[0], other[1] - row[1]), offset - other_offset
+            part = _clip(part, a, b)
+            if i < j and all(_dot(a, x) == b for x in part):  # a tie on all of it: the first channel has it
+                part = []
+        if len(part) >= min(len(corners), 3):
+            found.append((part, j))
+    return found

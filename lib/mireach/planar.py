@@ -1,0 +1,585 @@
+"""The plane without templates: the maximal RPI set, exact reachable sets, the attractor, and how much disturbance fits.
+
+Forward images of a nonconvex set have to be covered by a template, and every cover adds what is then carried
+on. Backwards nothing is covered: a state is lost if a disturbance carries it to a lost state, and the lost part
+of a cell is a union of convex polygons.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from .checks import positive_number, require_kind, whole_number
+from .engines import exact
+from .engines.cells import ROUNDING as UNIT
+from .engines.cells import TOUCH, dynamics
+from .invariance import SafeSet, safe_set
+from .loop import ClosedLoop
+from .polygons import Polygons
+from .polytope import Polytope
+from .region import Region, hulls
+
+SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and far below what is seen in an area
+LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
+MOST_ITERATIONS = 500  # default of `max_iterations`
+MOST_TRIANGLES = 1_000  # that an S_k may fall into; a larger slack then ends a boundary of ever more corners sooner
+MOST_LOST = 10_000  # the same where nothing has to be proven afterwards
+COARSER = 4  # powers of 10 by which the slack may grow
+ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
+
+
+@dataclass(frozen=True, eq=False)
+class RegionCheck:
+    """Answer of `prove_rpi`.
+
+    Attributes
+    ----------
+    verdict : "proven", "refuted" or "unknown"
+    witness : engines.exact.Escape or None
+        A step out of the region, in rational numbers, where the verdict is "refuted".
+    reason : str
+    """
+
+    verdict: str
+    witness: exact.Escape | None
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class MaximalSafeSet:
+    """Answer of `maximal_safe_set`: set <= the maximal RPI set in X <= outer.
+
+    Attributes
+    ----------
+    set : Region or None
+        RPI, and what is meant by the maximal set in every figure; None if none was found.
+    outer : Region
+        Outside of it every state can be driven out of X.
+    iterations : int
+        k with S_k = `set`.
+    history : list of Region
+        S_0, S_1, ..., S_k, of the iteration that led to `set`.
+    verdict : "proven", "refuted" or "unknown"
+        "proven": `set` is RPI, in rational arithmetic. "refuted": X holds no RPI set at all, since `outer` is
+        empty.
+    reason : str
+    slack : float
+        By which `set` was found, relative to the size of X and its image.
+    """
+
+    set: Region | None
+    outer: Region
+    iterations: int
+    history: list
+    verdict: str
+    reason: str
+    slack: float
+
+    @property
+    def given_up(self):
+        """Share of the area of `outer` that `set` lacks; what is given up for the proof is at most that."""
+        own = 0.0 if self.set is None else self.set.area
+        return (self.outer.area - own) / self.outer.area if self.outer.area else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Attractor:
+    """Answer of `attractor`.
+
+    Attributes
+    ----------
+    set : Region
+        R_k(S) with k = `steps`; every trajectory from S is in it from step k on.
+    steps : int
+    history : list of Region
+        R_0(S) = S, R_1(S), ..., `set`, and the one after it, by which the rule was tested.
+    settled : bool
+        Whether no point of R_k is farther than `tolerance` from R_(k+1).
+    tolerance : float
+    """
+
+    set: Region
+    steps: int
+    history: list
+    settled: bool
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class LargestDisturbance:
+    """Answer of `largest_disturbance`.
+
+    Attributes
+    ----------
+    bound : float
+        With D = {d : |d|_inf <= bound} in every mode there is a safe set; nan if there is none even for d = 0.
+    above : float
+        With this bound there was none found; at most `accuracy` more, or inf if the search ended before.
+    tried : int
+        Loops that were looked at.
+    """
+
+    bound: float
+    above: float
+    tried: int
+
+
+def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove=True):
+    """The maximal RPI set in X: S_0 = X, S_(k+1) = S_k without the states that some d in D carries out of S_k.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states; modes may depend on u, jump, and differ in D.
+    slack : float
+        By how much disturbance sets and lost parts are widened (a box of this half-width), relative to the
+        largest coordinate of X and its image. It has to exceed the rounding of GEOS, and the area that it
+        costs should not be seen. At least 1e-11.
+    max_iterations : int
+    prove : bool
+        Whether to prove the set in rational arithmetic. Without a proof the verdict is at best "unknown".
+
+    Returns
+    -------
+    MaximalSafeSet
+
+    Raises
+    ------
+    ValueError
+        If the loop has not two states, Phi leaves U, or an argument is out of range.
+
+    Notes
+    -----
+    What is proven: `set` is RPI. `prove_rpi` shows that without rounding and without any of the code below.
+    If it fails, or the boundary of S_k has ever more corners, up to 10^4 times the slack is tried, and then none
+    at all, which suits sets that fit by a hair; `slack`, `reason` and `given_up` say so.
+
+    What rests on floats: that `outer` holds every RPI set, and so that X holds none where it is empty. There
+    the iteration removes only states that are lost with a margin: lost sets are shrunk by the slack before
+    anything is taken to be carried into them, and the result is widened by it. The slack is thousands of times
+    the rounding of one operation, but that no rounding exceeds it is not proven.
+
+    On a boundary of regions every mode counts, so that a single line may be lost; the slack removes a thin strip
+    with it. The maximal set itself need not be closed; `set` and `outer` are.
+    """
+    every = dynamics(loop)
+    slack, max_iterations = positive_number(slack, "slack"), whole_number(max_iterations, "max_iterations", 1)
+    if slack < LEAST_SLACK:
+        raise ValueError(f"slack must be at least {LEAST_SLACK:g}, above the rounding of GEOS; got {slack:g}")
+    outer = _shrink(loop, every, -slack * _size(every), max_iterations, MOST_LOST)[0][-1]
+    outer = outer.sum(_square(slack * _size(every))) & loop.system.state_set if not outer.is_empty else outer
+    if outer.is_empty:
+        reason = "X holds no RPI set: every state of it can be driven out of it"
+        return MaximalSafeSet(None, outer, 0, [Region.of(loop.system.state_set)], "refuted", reason, slack)
+    failures = []
+    for tried in (*(slack * 10.0**power for power in range(COARSER + 1)), 0.0):
+        history, unfinished = _shrink(loop, every, tried * _size(every), max_iterations)
+        if unfinished or history[-1].is_empty:
+            failures.append(f"with slack {tried:g} {unfinished or 'nothing is left'}")
+            continue
+        found = history[-1], outer, len(history) - 1, history
+        if not prove:
+            return MaximalSafeSet(*found, "unknown", "; ".join([*failures, "not proven, for prove = False"]), tried)
+        check = prove_rpi(loop, history[-1])
+        if check.verdict == "proven":
+            return MaximalSafeSet(*found, "proven", "; ".join([*failures, check.reason]), tried)
+        failures.append(f"with slack {tried:g} {check.reason}")
+    return MaximalSafeSet(None, outer, len(history) - 1, history, "unknown", "; ".join(failures), tried)
+
+
+def carried_out(loop, S):
+    """The states of X that some disturbance carries out of S: one step of the iteration, without slack.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states.
+    S : Region or Polytope
+
+    Returns
+    -------
+    Region
+        Its closure; parts without area are left out.
+
+    Raises
+    ------
+    ValueError
+        If the loop has not two states, or S is not a set of the plane.
+    """
+    every, X = dynamics(loop), loop.system.state_set
+    targets = Region(_with_area((Region.of(X) - _start(loop, S)).shape)).simplices.points.reshape(-1, 3, 2)
+    lost = []
+    for D, own in _groups(loop, every):
+        chosen = np.flatnonzero(own)
+        lost += [_lost_outside(every, chosen, D, X, 0.0), _lost_into(every, chosen, D, targets, 0.0)]
+    return Region(_union(lost, Region.of(X), 0.0))
+
+
+def prove_rpi(loop, region):
+    """Whether a region is RPI, in rational arithmetic.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states.
+    region : Region or Polytope
+        Not empty. What is proven is proven of the union of its `pieces`, with the floats that their corners are.
+
+    Returns
+    -------
+    RegionCheck
+        "unknown" only if an image falls into too many parts.
+
+    Raises
+    ------
+    ValueError
+        If the region is empty or the loop has not two states.
+
+    Notes
+    -----
+    For every cell of the loop and every piece of the region: the image of their intersection, widened by D^(i),
+    less the pieces of the region has to be empty (`engines.exact.first_escape`). Neither GEOS nor the float
+    cells are trusted; python-flint, and the few lines of `engines/exact.py`, are.
+    """
+    require_kind(loop, ClosedLoop, "loop")
+    require_kind(region, (Region, Polytope), "region")
+    region = Region.of(region) if isinstance(region, Polytope) else region
+    if region.is_empty:
+        raise ValueError("the region is empty; there is nothing to prove")
+    pieces = region.pieces
+    try:
+        escape = exact.first_escape(loop, [pieces[i] for i in range(len(pieces))])
+    except ArithmeticError as error:
+        return RegionCheck("unknown", None, str(error))
+    if escape is not None:
+        return RegionCheck("refuted", escape, f"a step leaves the region: {escape}")
+    return RegionCheck("proven", None, f"no step leaves the {len(pieces)} pieces of the region, in rational arithmetic")
+
+
+def exact_reach(loop, F, steps):
+    """The exact reachable sets R_0(F) = F & X, R_1(F), ..., R_k(F) for k = `steps`, nonconvex as they are.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states.
+    F : Polytope or Region
+        Points and segments are fine.
+    steps : int
+        At least 0.
+
+    Returns
+    -------
+    list of steps + 1 Region
+        Up to rounding; only what stays in X goes on. Nothing is proven about them.
+
+    Raises
+    ------
+    ValueError
+        If the loop has not two states, or F is not a set of the plane.
+    """
+    every = dynamics(loop)
+    sets = [_start(loop, F)]
+    for _ in range(whole_number(steps, "steps", 0)):
+        sets.append(_image(loop, every, sets[-1]))
+    return sets
+
+
+def attractor(loop, safe, *, tolerance=1e-3, max_steps=500):
+    """The smallest set that everything in a safe set enters: R_k(S) once the sequence has settled.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    safe : MaximalSafeSet, SafeSet, Region or Polytope
+        An RPI set S, from which on the sequence R_k(S) shrinks.
+    tolerance : float
+        The sequence has settled when no point of R_k is farther than this from R_(k+1) (max norm, units of x).
+        What comes later may still shrink by more, if slowly: the rule is about one step.
+    max_steps : int
+
+    Returns
+    -------
+    Attractor
+
+    Raises
+    ------
+    ValueError
+        If `safe` holds no set.
+    """
+    tolerance, max_steps = positive_number(tolerance, "tolerance"), whole_number(max_steps, "max_steps", 1)
+    S = safe.set if isinstance(safe, (MaximalSafeSet, SafeSet)) else safe
+    if S is None:
+        raise ValueError(f"there is no safe set to start from: {safe.reason}")
+    every, history, settled = dynamics(loop), [_start(loop, S)], False
+    while not settled and len(history) <= max_steps:
+        history.append(_image(loop, every, history[-1]))
+        settled = history[-2].is_subset(history[-1], tolerance)
+    return Attractor(history[-2], len(history) - 2, history, settled, tolerance)
+
+
+def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, C=None):
+    """The largest bound r for which the loop with D = {d : |d|_inf <= r} in every mode has a safe set, by bisection.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        Its own disturbance sets do not matter.
+    method : "maximal", "template", or callable
+        Which safe set: the maximal one (two states), F_max with the template C, or whatever a function of a
+        ClosedLoop says (bool).
+    accuracy : float
+        In units of d.
+    largest : float or None
+        Where the search ends; None is half the smallest width of X, beyond which D fits into no set in X.
+    C : array (l, n) or None
+        Template of F_max, as in `safe_set`.
+
+    Returns
+    -------
+    LargestDisturbance
+
+    Raises
+    ------
+    ValueError
+        If there is no such method or an argument is out of range.
+
+    Notes
+    -----
+    For "maximal" the answer is *yes* up to a bound and *no* beyond: what is RPI stays RPI for a smaller D. The sets
+    of the search are found in floating point; `maximal_safe_set` proves the one at `bound`. For F_max the
+    answer need not be monotone, for its sequence starts from X and a template covers different images
+    differently well. Bisection then finds one bound at which the answer changes from yes to no, of perhaps several.
+    """
+    require_kind(loop, ClosedLoop, "loop")
+    accuracy, n = positive_number(accuracy, "accuracy"), loop.system.state_size
+    holds = (
+        {
+            "maximal": _has_safe_region,
+            "template": lambda other: safe_set(other, C).set is not None,
+        }.get(method, method)
+        if isinstance(method, str)
+        else method
+    )
+    if not isinstance(holds, Callable):
+        raise ValueError(f'method must be "maximal", "template" or a function of a loop; got {method!r}')
+    if largest is None:
+        lower, upper = loop.system.state_set.bounding_box()
+        largest = (upper - lower).min() / 2
+    low, high, tried = 0.0, positive_number(largest, "largest"), 2
+
+    def exists(r):
+        return bool(holds(loop.with_disturbance(Polytope.box(np.full(n, -r), np.full(n, r)))))
+
+    if not exists(low):
+        return LargestDisturbance(np.nan, low, 1)
+    if exists(high):
+        return LargestDisturbance(high, np.inf, tried)
+    while high - low > accuracy:
+        middle, tried = (low + high) / 2, tried + 1
+        low, high = (middle, high) if exists(middle) else (low, middle)
+    return LargestDisturbance(low, high, tried)
+
+
+def _has_safe_region(loop):
+    """Whether the iteration of `maximal_safe_set` comes to rest before nothing is left."""
+    every = dynamics(loop)
+    history, unfinished = _shrink(loop, every, SLACK * _size(every), MOST_ITERATIONS, MOST_LOST)
+    return not unfinished and not history[-1].is_empty
+
+
+# -- backwards ----------------------------------------------------------------------------------------
+
+
+def _shrink(loop, every, slack, max_iterations, most_triangles=MOST_TRIANGLES):
+    """S_0, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
+
+    `slack` (units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
+    negative for a set around it: only what is lost by more than that carries on. At 0 there is no margin.
+    """
+    groups = _groups(loop, every)
+    shapes = hulls(every.cells.polygons)
+    lost = [_lost_outside(every, np.flatnonzero(own), D, loop.system.state_set, slack) for D, own in groups]
+    S = Region.of(_inset(loop.system.state_set, max(slack, 0.0)))
+    history = [S]
+    for _ in range(max_iterations):
+        gone = _union(lost, S, slack)
+        following = Region(_with_area(shapely.difference(S.shape, gone)))
+        fresh = Region(_with_area(shapely.intersection(S.shape, gone)))
+        if _is_thin(fresh, S, abs(slack)):
+            return [*history, following] if fresh.area else history, ""
+        history.append(following)
+        if following.is_empty:
+            return history, ""
+        if len(following.simplices) > most_triangles:
+            return history, f"S_{len(history) - 1} has more than {most_triangles} triangles"
+        if slack < 0:
+            fresh = S.sum(_square(-slack)) - following.sum(_square(-slack))
+        targets = Region(_with_area(fresh.shape)).simplices.points.reshape(-1, 3, 2)
+        shapely.prepare(following.shape)
+        alive = shapely.dwithin(following.shape, shapes, abs(slack))
+        lost = [_lost_into(every, np.flatnonzero(own & alive), D, targets, max(slack, 0.0)) for D, own in groups]
+        S = following
+    return history, f"max_iterations = {max_iterations} came first"
+
+
+def _groups(loop, every):
+    """Every different disturbance set D, with the cells (N,) of bool in which it acts."""
+    groups = {}
+    for number, mode in enumerate(loop.system.modes):
+        groups.setdefault(mode.disturbance, []).append(number)
+    return [(D, np.isin(every.cells.mode, modes)) for D, modes in groups.items()]
+
+
+def _lost_outside(every, chosen, D, X, slack):
+    """The parts of the chosen cells that D can carry out of X: Polygons."""
+    polygons, found = every.cells.polygons.take(chosen), []
+    limits = X.h - D.support(X.H) - slack * np.abs(X.H).sum(axis=1)
+    for a, limit in zip(X.H, limits):
+        found.append(polygons.clip(-a @ every.M[chosen], every.c[chosen] @ a - limit, 0.0)[0])
+    return Polygons.join(found)
+
+
+def _lost_into(every, chosen, D, targets, slack):
+    """The parts of the chosen cells that D, widened by a box of half-width `slack`, can carry into triangles.
+
+    M x + c + d lies in the triangle T for some d exactly if M x + c lies in T + (-D), whose sides have the normals
+    of T and of -D.
+    """
+    cells = every.cells.polygons.take(chosen)
+    images, (low, high) = _images(every, cells, chosen), D.bounding_box()
+    starts, ends = targets.min(axis=1) - high - slack, targets.max(axis=1) - low + slack
+    near = (cells.least(images)[:, None] <= ends).all(axis=2) & (cells.largest(images)[:, None] >= starts).all(axis=2)
+    which, target = np.nonzero(near)
+    own, corners = _normals(targets), D.vertices()
+    others = np.unique(np.vstack([np.eye(2), -np.eye(2), -D.H[(D.H != 0).any(axis=1)]]) + 0.0, axis=0)
+    A = np.concatenate([own, np.broadcast_to(others, (len(targets), *others.shape))], axis=1)
+    b = np.einsum("trj,tvj->trv", A, targets).max(axis=2) + (-A @ corners.T).max(axis=2)
+    b += slack * np.abs(A).sum(axis=2)
+    part, kept = cells.take(which), np.arange(len(which))
+    for row in range(A.shape[1]):
+        cell, a = chosen[which[kept]], A[target[kept], row]
+        limit = b[target[kept], row] - np.einsum("pi,pi->p", a, every.c[cell])
+        part, left = part.clip(np.einsum("pi,pij->pj", a, every.M[cell]), limit, 0.0)
+        kept = kept[left]
+    return part
+
+
+def _normals(triangles):
+    """Outward normals of length 1 of the sides of triangles (T, 3, 2): array (T, 3, 2)."""
+    ahead = np.roll(triangles, -1, axis=1) - triangles
+    turn = ahead[:, 0, 0] * ahead[:, 1, 1] - ahead[:, 0, 1] * ahead[:, 1, 0]
+    normals = np.stack([ahead[..., 1], -ahead[..., 0]], axis=-1) * np.where(turn < 0, -1, 1)[:, None, None]
+    return normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), np.finfo(float).tiny)
+
+
+def _union(lost, S, slack):
+    """The union of those lost polygons that meet S; flat ones count only for a set within the maximal one."""
+    polygons = Polygons.join(lost)
+    if slack <= 0:
+        polygons = polygons.take(np.flatnonzero(shapely.get_dimensions(hulls(polygons)) == 2))
+    shapes = hulls(polygons, slack if slack > 0 else -ROUNDING * slack)
+    shapely.prepare(S.shape)
+    return shapely.union_all(shapes[shapely.intersects(S.shape, shapes)])
+
+
+def _is_thin(fresh, S, slack):
+    """Whether what is lost freshly lies within half the slack of what was lost before, which the slack covers."""
+    if not fresh.area:
+        return True
+    if fresh.area > slack * shapely.length(S.shape):
+        return False
+    return (S.erode(_square(slack / 2)) & fresh).area == 0
+
+
+def _inset(X, slack):
+    """X with those sides moved inward whose corners, rounded to floats, might lie outside of X."""
+    kept = [sorted(np.abs(a)) == [0, 1] and exact.binary(h) <= exact.decimal(h) for a, h in zip(X.H, X.h)]
+    return Polytope(X.H, X.h - np.where(kept, 0.0, slack) * np.linalg.norm(X.H, axis=1))
+
+
+def _with_area(shape):
+    """The part of a shapely geometry that has an area."""
+    parts = shapely.get_parts(shapely.get_parts(shape))
+    return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
+
+
+def _size(every):
+    """The largest coordinate of X, its image and the disturbance sets, rounded up to a power of two."""
+    return every.unit / UNIT
+
+
+def _images(every, polygons, cells):
+    """M x + c at the corners of polygons that lie in the cells with the given indices: array (T, 2)."""
+    rows = cells[polygons.owner]
+    return np.einsum("tij,tj->ti", every.M[rows], polygons.points) + every.c[rows]
+
+
+def _square(r):
+    """The box |x|_inf <= r in the plane."""
+    return Polytope.box([-r, -r], [r, r])
+
+
+# -- forwards -----------------------------------------------------------------------------------------
+
+
+def _start(loop, F):
+    """F & X as a Region."""
+    require_kind(loop, ClosedLoop, "loop")
+    require_kind(F, (Region, Polytope), "F")
+    return Region.of(F) & loop.system.state_set
+
+
+def _image(loop, every, R):
+    """R_1(R): the images of all parts of cells within R, each widened by the D of its mode."""
+    pieces, cells = R.simplices, every.cells.polygons
+    touch = TOUCH * _size(every)
+    starts, ends = pieces.least(pieces.points) - touch, pieces.largest(pieces.points) + touch
+    near = (cells.least(cells.points)[:, None] <= ends).all(axis=2)
+    near &= (cells.largest(cells.points)[:, None] >= starts).all(axis=2)
+    which, piece = np.nonzero(near)
+    A, b = _sides(pieces)
+    part = cells.take(which)
+    for row in range(A.shape[1]):
+        part, left = part.clip(A[piece, row], b[piece, row], touch)
+        which, piece = which[left], piece[left]
+    images = Polygons(_images(every, part, which), part.starts)
+    shapes = [np.zeros(0, object)]
+    for D in {mode.disturbance for mode in loop.system.modes}:
+        own = [number for number, mode in enumerate(loop.system.modes) if mode.disturbance is D]
+        chosen = images.take(np.flatnonzero(np.isin(every.cells.mode[which], own)))
+        corners = D.vertices()
+        points = (chosen.points[:, None] + corners).reshape(-1, 2)
+        shapes.append(hulls(Polygons(points, chosen.starts * len(corners))))
+    return Region(_without_specks(shapely.union_all(np.concatenate(shapes)), touch))
+
+
+def _sides(pieces):
+    """Half-planes A (N, 7, 2), b (N, 7) whose intersections are triangles, segments and points.
+
+    Four of them are the bounding box: a triangle of almost no width has a side without a direction.
+    """
+    A = np.empty((len(pieces), 7, 2))
+    A[:, 3:] = np.vstack([np.eye(2), -np.eye(2)])
+    for i in range(len(pieces)):
+        x = pieces[i]
+        if len(x) == 3:
+            A[i, :3] = _normals(x[None])[0]
+        else:
+            along = x[-1] - x[0]
+            across = np.array([-along[1], along[0]]) / max(np.linalg.norm(along), np.finfo(float).tiny)
+            A[i, :3] = across, -across, across
+    return A, pieces.largest(np.einsum("trj,tj->tr", A[pieces.owner], pieces.points))
+
+
+def _without_specks(shape, touch):
+    """A shapely geometry without those segments and points that lie within `touch` of its polygons."""
+    parts = shapely.get_parts(shapely.get_parts(shape))
+    flat = shapely.get_dimensions(parts) < 2
+    if not flat.any() or flat.all():
+        return shape
+    solid = shapely.union_all(parts[~flat])
+    near = Region(solid).sum(_square(touch)).shape
+    return shapely.union_all([solid, *(part for part in parts[flat] if not shapely.covers(near, part))])

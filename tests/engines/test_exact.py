@@ -1,0 +1,131 @@
+"""Exact cells: against brute force and replays in the standard library's fractions, and sets that fit by a hair."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from loops import affine_loop, assert_escapes, brute_support, exact_input, exactly_inside, jump_loop, random_loop
+
+import mireach as mr
+from mireach.engines import cells, exact
+
+SHRUNK = 0.7  # F of the random questions, as a share of X
+
+
+def as_fraction(value):
+    return Fraction(int(value.p), int(value.q))
+
+
+def square(r):
+    return mr.Polytope.box([-r, -r], [r, r])
+
+
+def corners(*boxes):
+    return [mr.Polytope.box(*box).vertices() for box in boxes]
+
+
+@pytest.mark.parametrize("with_input", [False, True])
+@pytest.mark.parametrize("seed", range(6))
+def test_support_agrees_with_brute_force_and_lies_below_the_bound_of_the_float_cells(seed, with_input):
+    loop = random_loop(seed, with_input=with_input)
+    F, V = loop.system.state_set.scale(SHRUNK), mr.directions(7)
+    found = mr.support(loop, F, V, engine="exact")
+    np.testing.assert_allclose(found.value, brute_support(loop, F, V), atol=1e-7)
+    assert (found.bound >= found.value).all() and (found.bound <= np.nextafter(found.value, np.inf)).all()
+    assert (cells.support(loop, F, V).bound >= found.bound).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cells_hold_every_state_with_the_step_that_fractions_give(seed):
+    loop, rng = random_loop(seed, with_input=seed % 2 == 1, saturated=True), np.random.default_rng(seed)
+    X, found = loop.system.state_set, exact.cells(loop)
+    for x in X.scale(0.9).sample(rng, 30).tolist():
+        point, u = [Fraction(value) for value in x], exact_input(loop.network, x)
+        for number, mode in enumerate(loop.system.modes):
+            inside = exactly_inside(mode.region, [*point, *u])
+            holding = [cell for cell in found if cell.mode == number and holds(cell, point)]
+            assert bool(holding) == inside
+            for cell in holding:
+                after = exact.successor(loop, point, number, (0, 0))
+                assert tuple(as_fraction(value) for value in cell.image(exact.binary(x))) == after
+
+
+def holds(cell, x):
+    """Whether a rational point is in the closed polygon of a cell."""
+    points = [[as_fraction(value) for value in corner] for corner in cell.corners]
+    turns = [
+        (q[0] - p[0]) * (x[1] - p[1]) - (q[1] - p[1]) * (x[0] - p[0]) for p, q in zip(points, points[1:] + points[:1])
+    ]
+    return len(points) > 2 and (min(turns) >= 0 or max(turns) <= 0)
+
+
+def test_numbers_of_the_plant_are_decimals_and_those_of_the_network_floats():
+    assert as_fraction(exact.decimal(0.1)) == Fraction(1, 10)
+    assert as_fraction(exact.binary(0.1)) == Fraction(0.1) != Fraction(1, 10)
+    loop = affine_loop(0.1 * np.eye(2), square(0.1), limits=0.3)
+    assert exact.successor(loop, (1, 2), 0, (Fraction(1, 10), 0)) == (Fraction(2, 10), Fraction(2, 10))
+
+
+def test_a_set_that_fits_without_any_margin_is_proven_and_one_ulp_more_is_refuted():
+    X = corners(([-1, -1], [1, 1]))
+    assert exact.first_escape(affine_loop(0.5 * np.eye(2), square(0.5)), X) is None
+    escape = exact.first_escape(affine_loop(0.5 * np.eye(2), square(np.nextafter(0.5, 1))), X)
+    assert max(abs(value) for value in escape.after) > 1 and "->" in str(escape)
+
+
+def test_a_state_outside_of_x_is_a_witness_by_itself():
+    escape = exact.first_escape(affine_loop(0.5 * np.eye(2)), corners(([-1, -1], [1, 1.5])))
+    assert escape.after is None and escape.state[1] == Fraction(3, 2) and "outside the state set" in str(escape)
+
+
+def test_a_gap_between_regions_is_noticed_however_narrow():
+    zero, column = np.zeros((2, 2)), np.zeros((2, 1))
+    for width in (0.0, 1e-9):
+        regions = mr.Polytope([[1.0, 0, 0]], [0.0]), mr.Polytope([[-1.0, 0, 0]], [-width])
+        modes = [mr.Mode(zero, column, [0.5, 0.0], region) for region in regions]
+        net = mr.MaxoutNetwork((), np.zeros((1, 2)), [0.0])
+        loop = mr.ClosedLoop(mr.PWASystem(modes, square(1), mr.Polytope.box([-1], [1])), net)
+        escape = exact.first_escape(loop, corners(([-1, -1], [1, 1])))
+        assert escape is None if not width else 0 < escape.state[0] < width and "no region contains" in str(escape)
+
+
+def test_on_a_boundary_every_mode_counts():
+    loop = jump_loop([0.0, 0.0], [9.0, 0.0])  # right of x1 = 1, and on it, all is carried out of X
+    assert exact.first_escape(loop, corners(([-1, -1], [np.nextafter(1, 0), 1]))) is None
+    escape = exact.first_escape(loop, corners(([-1, -1], [1, 1])))
+    assert escape.mode == 1 and escape.state[0] == 1
+
+
+def test_points_and_segments_are_sets_too():
+    still, loop = [np.zeros((1, 2))], affine_loop([[0.5, 0], [0, 2.0]])
+    assert exact.first_escape(loop, still) is None
+    assert exact.first_escape(loop, [np.array([[-1.0, 0], [1, 0]])]) is None
+    escape = exact.first_escape(loop, [np.array([[0, -1.0], [0, 1]])])
+    assert escape.state[0] == 0 and abs(escape.after[1]) > 1
+    assert exact.first_escape(affine_loop([[0, 0], [0, 0.0]], square(0.25)), corners(([-1, -1], [1, 1]))) is None
+    segment = mr.Polytope.box([-0.5, 0], [0.5, 0])
+    assert exact.first_escape(affine_loop(0 * np.eye(2), segment), [np.array([[-0.5, 0], [0.5, 0]])]) is None
+    assert exact.first_escape(affine_loop(0 * np.eye(2), segment), [np.array([[-0.4, 0], [0.5, 0]])]) is not None
+
+
+def test_a_hole_that_the_image_covers_is_found():
+    loop = affine_loop(0.5 * np.eye(2), square(0.25), limits=4)
+    around = mr.Region.of(square(2)) - square(0.01)
+    pieces = [around.pieces[i] for i in range(len(around.pieces))]
+    escape = exact.first_escape(loop, pieces)
+    assert max(abs(value) for value in escape.after) < 0.01
+    assert_escapes(loop, pieces, escape)
+
+
+def test_the_safe_set_of_case_1_is_the_one_of_the_float_cells():
+    case = mr.case_study("pwa")
+    here, there = (mr.safe_set(case.loop, case.safe_directions, engine=engine) for engine in ("exact", "cells"))
+    assert here.verdict == there.verdict == "proven" and here.iterations == there.iterations
+    np.testing.assert_allclose(here.set.h, there.set.h, atol=1e-9)
+
+
+def test_one_step_only():
+    with pytest.raises(ValueError, match="takes one step; got steps = 2"):
+        mr.support(affine_loop(0.5 * np.eye(2)), square(1), mr.directions(4), steps=2, engine="exact")
+    empty = mr.Polytope([[1.0, 0], [-1, 0]], [-5, -5])
+    assert mr.support(affine_loop(0.5 * np.eye(2)), empty, mr.directions(4), engine="exact").bound.max() == -np.inf
