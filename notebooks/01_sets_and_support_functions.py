@@ -221,7 +221,7 @@ plt.show()
 
 # %% tags=["nbval-check-output"]
 for count in (4, 8, 16, 32):
-    excess = template(mr.directions(count)).area() / hull.area() - 1
+    excess = template(mr.directions(count)).area / hull.area - 1
     print(f"{count:2} directions: {excess:6.1%} more area than the convex hull")
 
 # %% [markdown]

@@ -248,8 +248,8 @@ plt.show()
 outer = {rows: mr.outer_step(loop, G, mr.directions(rows)) for rows in (4, 8, 16)}  # eq. Rover1
 hull = mr.Polytope.from_points(np.vstack([piece.vertices() for piece in pieces]))
 for rows, R in outer.items():
-    print(f"{rows:2d} directions: area {R.area():6.1f}")
-print(f"convex hull:   area {hull.area():6.1f}")
+    print(f"{rows:2d} directions: area {R.area:6.1f}")
+print(f"convex hull:   area {hull.area:6.1f}")
 
 # %%
 fig, axes = plt.subplots(1, 3, figsize=(8, 3.2), sharey=True)

@@ -370,7 +370,7 @@ for name, result in (("least squares", fit), ("minimax", minimax)):
         if terminal is None:
             print(f"{name:15} {error:9} {safe.verdict}")
         else:
-            numbers = f"{safe.iterations:10d}  {safe.set.area():10.2f}  {terminal.set.area():10.3f}"
+            numbers = f"{safe.iterations:10d}  {safe.set.area:10.2f}  {terminal.set.area:10.3f}"
             print(f"{name:15} {error:9} {numbers}")
 
 # %% [markdown]
@@ -390,7 +390,7 @@ print("same F_max:", np.allclose(tight.set.support(case.directions), balanced.se
 loose, loose_terminal = analyse(fit.with_error("ball"))
 segment, segment_terminal = analyse(fit.with_error("polytope"))
 print("segment needs no more iterations than the paper's box:", segment.iterations <= loose.iterations)
-print("and a smaller terminal set:", segment_terminal.set.area() < loose_terminal.set.area())
+print("and a smaller terminal set:", segment_terminal.set.area < loose_terminal.set.area)
 
 # %%
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
@@ -446,7 +446,7 @@ for s in counts:
     if terminal is None:
         print(f"{s * s:7d}  no safe set: {safe.verdict}")
     else:
-        print(f"{s * s:7d}  {safe.iterations:10d}  {safe.set.area():10.2f}  {terminal.set.area():10.4f}")
+        print(f"{s * s:7d}  {safe.iterations:10d}  {safe.set.area:10.2f}  {terminal.set.area:10.4f}")
 
 # %% [markdown]
 # **What to see.** Coarse fits give no safe set at all, or a late one; then the terminal set shrinks with the error. All

@@ -355,7 +355,7 @@ for name, system in systems.items():
     R = {centre: mr.terminal_set(variant, F, C, centre=centre) for centre in ("origin", "equilibrium")}
     sets[name] = F.set, R["equilibrium"].set
     bounded = mr.ultimately_bounded(plant, variant, F, R["equilibrium"]).verdict
-    areas = f"areas {F.set.area():.2f} and {sets[name][1].area():.2f}"
+    areas = f"areas {F.set.area:.2f} and {sets[name][1].area:.2f}"
     met = R["origin"].criterion
     print(f"{name:9s} k = {F.iterations}, {areas}, Theorem 2 {bounded}, rule about the origin met: {met}")
 

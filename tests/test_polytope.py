@@ -227,9 +227,9 @@ def test_bad_arguments_are_named(make, words):
 
 
 def test_area_of_polygons_and_of_flat_and_empty_sets():
-    assert Polytope.box([0, 1], [2, 4]).area() == pytest.approx(6)
-    assert Polytope.from_points([[0, 0], [2, 0], [0, 1]]).area() == pytest.approx(1)
-    assert Polytope.box([1, 1], [1, 5]).area() == 0 and Polytope.box([1, 1], [1, 1]).area() == 0
-    assert Polytope([[1, 0], [-1, 0], [0, 1], [0, -1]], [0, -1, 1, 1]).area() == 0
+    assert Polytope.box([0, 1], [2, 4]).area == pytest.approx(6)
+    assert Polytope.from_points([[0, 0], [2, 0], [0, 1]]).area == pytest.approx(1)
+    assert Polytope.box([1, 1], [1, 5]).area == 0 and Polytope.box([1, 1], [1, 1]).area == 0
+    assert Polytope([[1, 0], [-1, 0], [0, 1], [0, -1]], [0, -1, 1, 1]).area == 0
     with pytest.raises(ValueError, match="R\\^3"):
-        Polytope.box([0, 0, 0], [1, 1, 1]).area()
+        Polytope.box([0, 0, 0], [1, 1, 1]).area

@@ -233,8 +233,8 @@ def _facts(look):
         ("iterations to F_max", f"{safe.iterations} ({safe.verdict})"),
     ]
     if safe.set:
-        area = safe.set.area()
-        facts.append(("area of F_max", f"{area:.4g} of {X.area():.4g} ({area / X.area():.0%} of X)"))
+        area = safe.set.area
+        facts.append(("area of F_max", f"{area:.4g} of {X.area:.4g} ({area / X.area:.0%} of X)"))
     elif safe.witness is not None:
         x, after = (np.round(state, 3).tolist() for state in safe.witness.states)
         facts.append(("leaves X", f"x = {x} → {after}, d = {np.round(safe.witness.disturbances[0], 4).tolist()}"))
@@ -243,7 +243,7 @@ def _facts(look):
     return [
         *facts,
         ("steps to R_min", f"{terminal.steps}: {terminal.reason.split(';')[0]}"),
-        ("area of R_min", f"{terminal.set.area():.4g}"),
+        ("area of R_min", f"{terminal.set.area:.4g}"),
         ("α of Theorem 1", _alpha(terminal)),
         ("computed in", f"{1e3 * look.seconds:.0f} ms"),
     ]

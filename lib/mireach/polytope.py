@@ -304,8 +304,9 @@ class Polytope:
         identity = np.eye(self.dimension)
         return -self.support(-identity), self.support(identity)
 
+    @property
     def area(self):
-        """Area of a bounded set of the plane, in units of x^2; 0 for flat and empty ones.
+        """Of a bounded set of the plane, in units of x1 times x2; 0 for flat and empty ones.
 
         Raises
         ------

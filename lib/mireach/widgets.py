@@ -211,7 +211,7 @@ class DisturbanceLab(anywidget.AnyWidget):
         largest, settled = largest_amount(self._points), self._next_amount() is None
         found = "none" if largest is None else f"{largest:.4f}"
         self.curve = {
-            "points": [[amount, found and found.area()] for amount, found in points],
+            "points": [[amount, found and found.area] for amount, found in points],
             "largest": largest,
             "largest_set": None if largest is None else self._points[largest].vertices().tolist(),
             "settled": settled,
