@@ -72,7 +72,8 @@ widgets.DisturbanceLab("pwa")
 # %% [markdown] tags=["course"]
 # ### The largest disturbance, by bisection
 #
-# What the curve does, as a loop: ask at one bound after the other, and close in on the last change.
+# What the curve does, as a loop: ask at one bound after the other, and close in on the last change. The lab gives the
+# sequence $\mathcal{F}_k$ at most 300 iterations; very close to the largest bound it would need more.
 
 
 # %% tags=["course"]
@@ -110,6 +111,8 @@ small_multiples(integrator, choices)
 #
 # **The lab.** The amount is a multiple of the *proven* error of the fit. With *regions of the fit* the chessboard
 # becomes finer and the proven error smaller. Several trained networks are at hand, among them one without a safe set.
+# Tick *with the maximal safe set* to see what no template can describe (notebook 13): where there is no
+# $\mathcal{F}_{\max}$ any more, the maximal set is often still there.
 
 # %%
 widgets.DisturbanceLab("double_integrator")

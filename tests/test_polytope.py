@@ -232,4 +232,4 @@ def test_area_of_polygons_and_of_flat_and_empty_sets():
     assert Polytope.box([1, 1], [1, 5]).area == 0 and Polytope.box([1, 1], [1, 1]).area == 0
     assert Polytope([[1, 0], [-1, 0], [0, 1], [0, -1]], [0, -1, 1, 1]).area == 0
     with pytest.raises(ValueError, match="R\\^3"):
-        Polytope.box([0, 0, 0], [1, 1, 1]).area
+        _ = Polytope.box([0, 0, 0], [1, 1, 1]).area

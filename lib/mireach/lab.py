@@ -15,6 +15,7 @@ from .case_studies import CaseStudy, case_study, data_file, double_integrator_fi
 from .checks import require_kind
 from .invariance import SafeSet, TerminalSet, safe_set, terminal_set
 from .loop import ClosedLoop
+from .planar import maximal_safe_set
 from .polytope import Polytope, directions
 from .seeds import load_networks, load_rows
 from .system import NonlinearSystem
@@ -24,7 +25,8 @@ SHAPES = {"box": "ball", "segment": "polytope"}  # name in the lab -> `error` of
 TRAJECTORIES = 20
 LONGEST = 50  # steps that are simulated at most
 SETTLING = 10  # steps that trajectories run on after they have to be in the terminal set
-MOST_STEPS = 150  # sets that each of the two iterations may make
+MOST_ITERATIONS = 300  # sets F_k; close to the largest disturbance the sequence takes ever longer
+MOST_STEPS = 150  # sets R_k-bar
 COARSE = 9  # amounts, evenly spread, that are tried before the bisection
 ACCURACY = 1e-4  # of the largest disturbance, relative to the range of amounts
 
@@ -315,6 +317,22 @@ def look(subject, settings=None):
     )
 
 
+@lru_cache(maxsize=64)
+def maximal_set(loop):
+    """The maximal RPI set of a loop in floating point, without its proof: a MaximalSafeSet."""
+    return maximal_safe_set(loop, prove=False)
+
+
+def maximal_scene(maximal, X):
+    """What a page needs to draw a MaximalSafeSet within X, ready for JSON: "rings" of corners, and "text"."""
+    if maximal.set is None:
+        text = "X holds no RPI set at all" if maximal.verdict == "refuted" else "not settled"
+        return {"rings": [], "text": text}
+    area = maximal.set.area
+    text = f"{area:.4g} of {X.area:.4g} ({area / X.area:.0%} of X), {maximal.iterations} iterations"
+    return {"rings": [ring.tolist() for ring in maximal.set.rings()], "text": text}
+
+
 def script(subject, settings):
     """Lines of Python that compute `safe` and `terminal` of these settings without the lab.
 
@@ -328,7 +346,7 @@ def script(subject, settings):
         *subject.source(settings),
         "D = [mode.disturbance for mode in loop.system.modes]",
         f"loop = loop.with_disturbance([mr.Polytope(one.H, {settings['amount']} * one.h) for one in D])",
-        f"safe = mr.safe_set(loop, mr.directions({settings['safe_directions']}), max_iterations={MOST_STEPS})",
+        f"safe = mr.safe_set(loop, mr.directions({settings['safe_directions']}), max_iterations={MOST_ITERATIONS})",
         "print(safe.verdict, safe.iterations, safe.reason)",
         "if safe.set:",
         f"    C, epsilon = mr.directions({settings['directions']}), {epsilon_of(settings)}",
@@ -389,7 +407,7 @@ def epsilon_of(settings):
 def _safe(loop, count):
     """The safe set, and the seconds that it took."""
     begin = perf_counter()
-    return safe_set(loop, directions(count), max_iterations=MOST_STEPS), perf_counter() - begin
+    return safe_set(loop, directions(count), max_iterations=MOST_ITERATIONS), perf_counter() - begin
 
 
 @lru_cache(maxsize=256)

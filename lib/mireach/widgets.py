@@ -10,7 +10,17 @@ import ipywidgets
 import traitlets
 from matplotlib.figure import Figure
 
-from .lab import largest_amount, look, next_amount, safe_set_at, scene, script, subject
+from .lab import (
+    largest_amount,
+    look,
+    maximal_scene,
+    maximal_set,
+    next_amount,
+    safe_set_at,
+    scene,
+    script,
+    subject,
+)
 from .plotting import legend_above, plot_look, save_svg
 
 STATIC = Path(__file__).parent / "static"
@@ -96,10 +106,11 @@ class DisturbanceLab(anywidget.AnyWidget):
     settings = traitlets.Dict().tag(sync=True)
     picture = traitlets.Dict().tag(sync=True)
     curve = traitlets.Dict().tag(sync=True)
+    layer = traitlets.Dict().tag(sync=True)
 
     def __init__(self, case, **settings):
         self.subject = subject(case)
-        self._stamp, self._known, self._prepared = 0, {}, []
+        self._stamp, self._looks, self._known, self._prepared = 0, 0, {}, []
         controls = [{**asdict(control), "choices": control.choices or None} for control in self.subject.controls]
         super().__init__(name=self.subject.name, controls=controls, settings=self.subject.settle(settings))
         self._answer()
@@ -137,11 +148,12 @@ class DisturbanceLab(anywidget.AnyWidget):
     def _answer(self, _change=None):
         """Compute the look of the present settings and hand it to the page."""
         self.look = look(self.subject, self.settings)
-        self.picture = {**scene(self.look), "stamp": self._stamp}
+        self._looks += 1
+        self.picture = {**scene(self.look), "stamp": self._stamp, "number": self._looks}
         self._show_curve()
 
     def _on_message(self, _widget, message, _buffers):
-        """What the page asks for: a look at other settings, some idle work, or a file."""
+        """What the page asks for: a look at other settings, some idle work, the maximal safe set, or a file."""
         if message["do"] == "look":
             self._stamp = message["stamp"]
             try:
@@ -154,6 +166,9 @@ class DisturbanceLab(anywidget.AnyWidget):
             self.settings = wanted
         elif message["do"] == "idle":
             self._idle()
+        elif message["do"] == "layer":
+            found = maximal_set(self.look.loop)
+            self.layer = {**maximal_scene(found, self.look.loop.system.state_set), "number": self._looks}
         elif message["do"] == "save":
             ending, kind = KINDS[message["kind"]]
             name = f"mireach_{self.subject.name}.{ending}"

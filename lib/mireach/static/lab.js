@@ -39,7 +39,14 @@ function render({ model, el }) {
 
   function rest() {
     clearTimeout(idle);
-    if (!model.get("curve").done) idle = setTimeout(() => busy || model.send({ do: "idle" }), IDLE);
+    const work = lab.layer.checked && !layer() ? "layer" : model.get("curve").done ? null : "idle";
+    if (work) idle = setTimeout(() => busy || model.send({ do: work }), IDLE);
+  }
+
+  function layer() {
+    // the maximal safe set, if it is known for the present picture
+    const known = model.get("layer");
+    return known.number === model.get("picture").number ? known : null;
   }
 
   function answered() {
@@ -57,6 +64,12 @@ function render({ model, el }) {
     drawScene();
     const curve = model.get("curve");
     if (!curve.done && !busy && !wish) model.send({ do: "idle" });
+  }
+
+  function layerArrived() {
+    drawFacts();
+    drawScene();
+    rest();
   }
 
   function adopt() {
@@ -92,6 +105,7 @@ function render({ model, el }) {
     view = lab.view.value;
     drawScene();
   });
+  lab.layer.addEventListener("change", layerArrived);
   for (const kind in lab.save) lab.save[kind].addEventListener("click", () => model.send({ do: "save", kind }));
 
   function stop() {
@@ -118,10 +132,16 @@ function render({ model, el }) {
     }
     lab.verdict.textContent = picture.verdict;
     lab.verdict.className = picture.safe ? "verdict proven" : "verdict failed";
-    lab.facts.replaceChildren(...picture.facts.flatMap(([name, value]) => [node("dt", {}, name), node("dd", {}, value)]));
+    drawFacts();
     drawScene();
     drawChart();
     lab.root.dataset.stamp = picture.stamp;
+  }
+
+  function drawFacts() {
+    const facts = [...(model.get("picture").facts || [])];
+    if (lab.layer.checked) facts.push(["maximal safe set", layer() ? layer().text : "…"]);
+    lab.facts.replaceChildren(...facts.flatMap(([name, value]) => [node("dt", {}, name), node("dd", {}, value)]));
   }
 
   function drawScene() {
@@ -144,6 +164,8 @@ function render({ model, el }) {
     const line = (points, name) => draft("path", { d: path(points, false), class: `line ${name}` });
     const parts = picture.regions.map((points) => shape(points, "region"));
     parts.push(shape(picture.state, "state"));
+    const rings = lab.layer.checked && layer() ? layer().rings : [];
+    if (rings.length) parts.push(draft("path", { d: rings.map((ring) => path(ring, true)).join(""), class: "maximal" }));
     if (picture.safe) parts.push(shape(picture.safe, "safe"));
     for (const one of sequence) parts.push(shape(one.points, one.name === "F" ? "earlier" : "reach"));
     const curve = model.get("curve");
@@ -167,7 +189,7 @@ function render({ model, el }) {
     scene.start.setAttribute("cy", hy);
     scene.svg.setAttribute("aria-label", `The plane of states. ${picture.verdict}. Marked set: ${chosen.name} ${chosen.k}.`);
     lab.root.dataset.chosen = `${chosen.name}${chosen.k}`;
-    for (const [name, item] of Object.entries(lab.legend)) item.hidden = !shown(name, picture, curve);
+    for (const [name, item] of Object.entries(lab.legend)) item.hidden = !shown(name, picture, curve, rings);
   }
 
   function drawChart() {
@@ -250,6 +272,7 @@ function render({ model, el }) {
   model.on("change:settings", settingsArrived);
   model.on("change:picture", answered);
   model.on("change:curve", curveArrived);
+  model.on("change:layer", layerArrived);
   model.on("msg:custom", download);
   adopt();
   draw();
@@ -260,6 +283,7 @@ function render({ model, el }) {
     model.off("change:settings", settingsArrived);
     model.off("change:picture", answered);
     model.off("change:curve", curveArrived);
+    model.off("change:layer", layerArrived);
     model.off("msg:custom", download);
   };
 }
@@ -301,11 +325,13 @@ function build(controls) {
   const stepName = node("output", { for: `${page}-step`, class: "step-name" });
   const play = node("button", { type: "button", "aria-pressed": "false" }, "▶ play");
   const view = node("select", { id: `${page}-view` }, ...Object.entries(VIEWS).map(([value, text]) => node("option", { value }, text)));
+  const layer = node("input", { type: "checkbox", id: `${page}-layer` });
   const timeline = node("div", { class: "timeline" }, play, node("label", { for: `${page}-step` }, "set"), step, stepName,
-    node("label", { for: `${page}-view` }, "show"), view);
+    node("label", { for: `${page}-view` }, "show"), view,
+    node("span", {}, layer, node("label", { for: `${page}-layer` }, "with the maximal safe set, without a template")));
 
   const legend = {
-    safe: "F_max", earlier: "F_k", reach: "R_k", terminal: "R_min", chosen: "marked set", disturbed: "disturbed",
+    maximal: "maximal safe set", safe: "F_max", earlier: "F_k", reach: "R_k", terminal: "R_min", chosen: "marked set", disturbed: "disturbed",
     nominal: "nominal", plant: "the plant itself", witness: "a step that leaves X", largest: "F_max at the largest disturbance",
     centre: "centre of the stopping rule",
   };
@@ -336,7 +362,7 @@ function build(controls) {
       node("p", { class: "caption" }, `Area of the safe set over “${amount.label}”; ✕: none found`),
       chart,
       node("div", { class: "save" }, node("span", {}, "Save:"), ...Object.values(save))));
-  return { root, inputs, scene, step, stepName, play, view, legend: items, verdict, facts, chart, save };
+  return { root, inputs, scene, step, stepName, play, view, layer, legend: items, verdict, facts, chart, save };
 }
 
 function numeric(control, id) {
@@ -371,8 +397,9 @@ function choice(control, id) {
   };
 }
 
-function shown(name, picture, curve) {
+function shown(name, picture, curve, rings) {
   const there = {
+    maximal: rings.length,
     safe: picture.safe, terminal: picture.terminal, reach: picture.terminal, plant: picture.plant, witness: picture.witness,
     largest: !picture.safe && curve.largest_set,
   };
