@@ -139,6 +139,11 @@ def use(tab, found, amount, kept):
     tab.keyboard.press("End")
     assert found.get_attribute("data-chosen").startswith("R")
 
+    found.get_by_label("maximal safe set").check()  # the layer
+    found.locator("svg.scene path.maximal").wait_for(state="attached")
+    found.get_by_label("maximal safe set").uncheck()
+    assert found.locator("svg.scene path.maximal").count() == 0
+
     with tab.expect_download() as download:  # take it home
         found.get_by_role("button", name="Sets (JSON)").click()
     download.value.save_as(kept)

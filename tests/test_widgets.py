@@ -7,6 +7,7 @@ import pytest
 from loops import random_loop
 from traitlets import TraitError
 
+from mireach import Region, maximal_safe_set
 from mireach.lab import ACCURACY, look, subject
 from mireach.widgets import DisturbanceLab, step_viewer
 
@@ -112,6 +113,21 @@ def test_idle_work_finds_the_largest_disturbance_and_ends(lab):
     assert lab.curve["points"] == [] and not lab.curve["settled"]
     lab.settings = {**lab.settings, "safe_directions": 4, "amount": 0.1}  # the first one is still known
     assert lab.curve["largest"] == largest
+
+
+@pytest.mark.parametrize(("amount", "there"), [(0.15, True), (1.9, False)])
+def test_layer_is_the_maximal_safe_set_of_the_picture_that_is_shown(lab, amount, there):
+    lab.settings = {**lab.settings, "amount": amount}
+    ask(lab, do="layer")
+    assert lab.layer["number"] == lab.picture["number"] and bool(lab.layer["rings"]) == there
+    if there:
+        drawn = Region.of(*lab.layer["rings"])  # X without a corner, which is convex
+        assert drawn.area == pytest.approx(maximal_safe_set(lab.look.loop, prove=False).set.area, rel=1e-9)
+        assert drawn.contains(lab.look.safe.set.vertices(), 1e-9).all()
+    else:
+        assert "no RPI set" in lab.layer["text"]
+    lab.settings = {**lab.settings, "amount": 0.1}
+    assert lab.layer["number"] != lab.picture["number"]  # the page shows no layer of other settings
 
 
 @pytest.mark.parametrize("amount", [0.15, 0.5])
