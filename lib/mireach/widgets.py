@@ -10,6 +10,7 @@ import ipywidgets
 import traitlets
 from matplotlib.figure import Figure
 
+from .errors import MireachError
 from .lab import (
     largest_amount,
     look,
@@ -158,12 +159,11 @@ class DisturbanceLab(anywidget.AnyWidget):
             self._stamp = message["stamp"]
             try:
                 wanted = self.subject.settle(message["settings"])
-            except ValueError as error:
+                if wanted == self.settings:
+                    self._answer()
+                self.settings = wanted
+            except (MireachError, ValueError) as error:
                 self.picture = {**self.picture, "error": str(error), "stamp": self._stamp}
-                return
-            if wanted == self.settings:
-                self._answer()
-            self.settings = wanted
         elif message["do"] == "idle":
             self._idle()
         elif message["do"] == "layer":
