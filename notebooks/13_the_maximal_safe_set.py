@@ -58,7 +58,7 @@ maximal = {name: mr.maximal_safe_set(case.loop) for name, case in cases.items()}
 for name, found in maximal.items():
     F = mr.Region.of(safe[name].set)
     print(f"{name}: F_max {F.area:.1f}, maximal set {found.set.area:.1f}", end=" ")
-    print(f"of {mr.Region.of(cases[name].system.state_set).area:.0f}, {found.iterations} steps, {found.verdict}")
+    print(f"of {cases[name].system.state_set.area:.0f}, {found.iterations} steps, {found.verdict}")
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(8.2, 4.6), layout="constrained")
@@ -183,7 +183,7 @@ plt.show()
 
 # %% tags=["nbval-check-output"]
 for k in range(1, steps + 1):
-    cover, inside = mr.Region.of(covers[k]).area, exactly[k].area
+    cover, inside = covers[k].area, exactly[k].area
     print(f"k = {k}: exact {inside:.3f}, cover {cover:.3f}, {cover / inside:.2f} times as large")
 
 # %% [markdown]
@@ -200,7 +200,7 @@ for k in range(1, steps + 1):
 attractors = {name: mr.attractor(case.loop, maximal[name]) for name, case in cases.items()}
 terminal = {name: mr.terminal_set(c.loop, safe[name], c.directions, c.epsilon) for name, c in cases.items()}
 for name, found in attractors.items():
-    cover = mr.Region.of(terminal[name].set).area
+    cover = terminal[name].set.area
     print(f"{name}: attractor {found.set.area:.3f} after {found.steps} steps;", end=" ")
     print(f"terminal set of the paper {cover:.3f} after {terminal[name].steps}")
 
@@ -231,7 +231,7 @@ for ax, (name, case), last in zip(axes, cases.items(), (1.25, 0.8)):
     for r in bounds:
         other = case.loop.with_disturbance(mr.Polytope.box([-r, -r], [r, r]))
         sets = mr.safe_set(other, case.safe_directions).set, mr.maximal_safe_set(other, prove=False).set
-        areas.append([0.0 if part is None else mr.Region.of(part).area for part in sets])
+        areas.append([0.0 if part is None else part.area for part in sets])
     small, large = np.transpose(areas)
     ax.plot(bounds, large, "o-", color=plotting.BLUE, label="maximal safe set")
     ax.plot(bounds, small, "s--", color=plotting.GREEN, label=r"$\mathcal{F}_{\max}$ (0: none found)")
@@ -263,7 +263,7 @@ print(f"double_integrator, F_max: yes at {found.bound:.4f}, no at {found.above:.
 
 # %%
 rows = {name: load_rows(data_file(name, "seeds.csv")) for name in cases}
-sizes = {name: mr.Region.of(case.system.state_set).area for name, case in cases.items()}
+sizes = {name: case.system.state_set.area for name, case in cases.items()}
 figure, ax = plt.subplots(figsize=(7.0, 4.0), layout="constrained")
 plotting.plot_areas(ax, rows, sizes)
 plt.show()

@@ -449,7 +449,7 @@ def _lost_into(every, chosen, D, targets, slack):
     of T and of -D.
     """
     cells = every.cells.polygons.take(chosen)
-    images, (low, high) = _images(every, cells, chosen), D.bounding_box()
+    images, (low, high) = every.images(cells.points, chosen[cells.owner]), D.bounding_box()
     starts, ends = targets.min(axis=1) - high - slack, targets.max(axis=1) - low + slack
     near = (cells.least(images)[:, None] <= ends).all(axis=2) & (cells.largest(images)[:, None] >= starts).all(axis=2)
     which, target = np.nonzero(near)
@@ -511,12 +511,6 @@ def _size(every):
     return every.unit / UNIT
 
 
-def _images(every, polygons, cells):
-    """M x + c at the corners of polygons that lie in the cells with the given indices: array (T, 2)."""
-    rows = cells[polygons.owner]
-    return np.einsum("tij,tj->ti", every.M[rows], polygons.points) + every.c[rows]
-
-
 def _square(r):
     """The box |x|_inf <= r in the plane."""
     return Polytope.box([-r, -r], [r, r])
@@ -545,7 +539,7 @@ def _image(loop, every, R):
     for row in range(A.shape[1]):
         part, left = part.clip(A[piece, row], b[piece, row], touch)
         which, piece = which[left], piece[left]
-    images = Polygons(_images(every, part, which), part.starts)
+    images = Polygons(every.images(part.points, which[part.owner]), part.starts)
     shapes = [np.zeros(0, object)]
     for D in {mode.disturbance for mode in loop.system.modes}:
         own = [number for number, mode in enumerate(loop.system.modes) if mode.disturbance is D]

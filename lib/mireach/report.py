@@ -25,7 +25,6 @@ from .invariance import (
 from .planar import MaximalSafeSet, maximal_safe_set
 from .polytope import Polytope
 from .reach import outer_reach, support
-from .region import Region
 from .seeds import load_rows
 
 FORMAT = "mireach-report/1"
@@ -161,7 +160,7 @@ def draw_figures(analyses, folder):
 
     folder.mkdir(parents=True, exist_ok=True)
     studies = {analysis.case.name: load_rows(data_file(analysis.case.name, "seeds.csv")) for analysis in analyses}
-    sizes = {analysis.case.name: Region.of(analysis.case.system.state_set).area for analysis in analyses}
+    sizes = {analysis.case.name: analysis.case.system.state_set.area for analysis in analyses}
     drawings = {"seed_areas": partial(plotting.plot_areas, studies=studies, sizes=sizes)}
     for analysis in analyses:
         drawings |= _drawings(analysis)
@@ -396,7 +395,7 @@ def _common_rows(analysis):
     yield (
         "area of the maximal safe set (of F_max)",
         "cannot be computed",
-        f"{area:.2f} ({Region.of(analysis.safe.set).area:.2f})",
+        f"{area:.2f} ({analysis.safe.set.area:.2f})",
         f"{maximal.verdict} in rational arithmetic, {maximal.iterations} iterations; the true set has at most "
         f"{maximal.outer.area - area:.1g} more",
     )

@@ -19,7 +19,6 @@ from .files import END, write_whole
 from .invariance import safe_set, terminal_set
 from .network import MaxoutNetwork
 from .planar import maximal_safe_set
-from .region import Region
 
 CLEAR = 1e-6  # an alpha counts as above 1 by more than this, what a MILP solver resolves
 LOSS_FACTOR = 2.0  # a network may be shipped if its loss is within this factor of the best eligible one
@@ -374,7 +373,7 @@ def _maximal_columns(case, safe):
     begin = perf_counter()
     found = maximal_safe_set(case.loop)
     seconds = perf_counter() - begin
-    safe_area, area = (0.0 if part.set is None else Region.of(part.set).area for part in (safe, found))
+    safe_area, area = (0.0 if part.set is None else part.set.area for part in (safe, found))
     return {
         "safe_area": safe_area,
         "maximal_verdict": found.verdict,

@@ -113,9 +113,10 @@ def cells(loop):
         If the loop has not two states, or Phi leaves U somewhere in X (checked at every vertex, which
         for an affine piece decides it).
     """
-    return _loop_cells(loop).cells
+    return dynamics(loop).cells
 
 
+@lru_cache(maxsize=128)
 def dynamics(loop):
     """The cells of a closed loop with x+ = M x + c on each of them: LoopCells, the same object for the same loop.
 
@@ -124,7 +125,16 @@ def dynamics(loop):
     ValueError
         As `cells`.
     """
-    return _loop_cells(loop)
+    if loop.system.state_size != 2:
+        raise ValueError(f'the cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
+    system = loop.system
+    found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set, system.input_set)
+    A, B, p = (maps[found.mode] for maps in system.maps)
+    every = LoopCells(found, A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p, 0.0)
+    images = every.images(found.polygons.points, found.polygons.owner)
+    limits = [mode.disturbance.bounding_box() for mode in system.modes]
+    size = max(_size(found.polygons.points), _size(images), _size(np.array(limits)))
+    return replace(every, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
 
 
 def support(loop, F, V, steps=1):
@@ -153,7 +163,7 @@ def support(loop, F, V, steps=1):
         If the loop has not two states, or the reachable set falls into too many pieces.
     """
     V, steps = checked_query(loop, F, V, steps)
-    every = _loop_cells(loop)
+    every = dynamics(loop)
     rows = _rows(loop, every, V.shape, V.tobytes())
     pieces = [(F, ())]
     for step in range(steps - 1):
@@ -175,21 +185,6 @@ def support(loop, F, V, steps=1):
 
 
 # -- building the cells -------------------------------------------------------------------------------
-
-
-@lru_cache(maxsize=128)
-def _loop_cells(loop):
-    """Cells and nominal dynamics of a loop, after the checks that `cells` promises."""
-    if loop.system.state_size != 2:
-        raise ValueError(f'the cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
-    system = loop.system
-    found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set, system.input_set)
-    A, B, p = (maps[found.mode] for maps in system.maps)
-    every = LoopCells(found, A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p, 0.0)
-    images = every.images(found.polygons.points, found.polygons.owner)
-    limits = [mode.disturbance.bounding_box() for mode in system.modes]
-    size = max(_size(found.polygons.points), _size(images), _size(np.array(limits)))
-    return replace(every, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
 
 
 @lru_cache(maxsize=128)
