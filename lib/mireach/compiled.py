@@ -38,7 +38,7 @@ def polygon(H, h, parallel, tol):
         following = angle[r + 1] if r + 1 < rows else angle[0] + 2 * np.pi
         if following - angle[r] > np.pi - 1e-9:
             return none
-    found, count = np.empty((max(rows * (rows - 1) // 2, 1), 2)), 0
+    found, count, strict = np.empty((max(rows * (rows - 1) // 2, 1), 2)), 0, 0
     for i in range(rows):
         for j in range(i + 1, rows):
             turn = unit[i, 0] * unit[j, 1] - unit[i, 1] * unit[j, 0]
@@ -50,9 +50,10 @@ def polygon(H, h, parallel, tol):
                 q = offset[j] - unit[j, 0] * x - unit[j, 1] * y
                 x, y = x + (p * unit[j, 1] - q * unit[i, 1]) / turn, y + (q * unit[i, 0] - p * unit[j, 0]) / turn
             limit, inside = tol * (1 + max(abs(x), abs(y))), True
-            for r in range(rows):
+            for k in range(rows):
+                r = (strict + k) % rows  # the row that the last point failed is likely to refuse this one too
                 if unit[r, 0] * x + unit[r, 1] * y - offset[r] > limit:
-                    inside = False
+                    inside, strict = False, r
                     break
             if inside:
                 found[count] = x, y

@@ -26,7 +26,7 @@ TRAJECTORIES = 20
 LONGEST = 50  # steps that are simulated at most
 SETTLING = 10  # steps that trajectories run on after they have to be in the terminal set
 MOST_ITERATIONS = 300  # sets F_k; close to the largest disturbance the sequence takes ever longer
-MOST_STEPS = 150  # sets R_k-bar
+MOST_STEPS = 100  # sets R_k-bar; a sequence that has not come to its end by then is not followed on a page
 COARSE = 9  # amounts, evenly spread, that are tried before the bisection
 ACCURACY = 1e-4  # of the largest disturbance, relative to the range of amounts
 

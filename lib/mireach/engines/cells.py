@@ -173,14 +173,14 @@ def support(loop, F, V, steps=1):
                 f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, "
                 'a smaller F, or engine="milp"'
             )
-    value, ends = np.full(len(V), -np.inf), [None] * len(V)
-    for piece, chain in pieces:
-        highest, cell = _highest(every, piece, rows)
-        for k in np.flatnonzero(highest > value):
-            value[k], ends[k] = highest[k], (piece, chain, cell[k])
+    value, end, cell = np.full(len(V), -np.inf), np.zeros(len(V), int), np.zeros(len(V), int)
+    for number, (piece, _) in enumerate(pieces):
+        reached, where = _highest(every, piece, rows)
+        better = reached > value
+        value[better], end[better], cell[better] = reached[better], number, where[better]
     if not np.isfinite(value).all():
         return empty_support(len(V))
-    witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *ends[k]))
+    witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
     return Support(value, np.ceil(value / rows.unit + 0.05) * rows.unit, witness)
 
 
