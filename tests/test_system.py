@@ -164,3 +164,8 @@ def test_maps_and_regions_of_all_modes_at_once():
         of_x = mode.region.H[:, 2] == 0
         inside = (x @ mode.region.H[of_x, :2].T <= mode.region.h[of_x]).all(axis=1) & system.state_set.contains(x)
         assert region.contains(x).tolist() == inside.tolist()
+
+
+def test_regions_on_which_the_dual_simplex_stalls_are_checked_all_the_same():
+    loop = random_loop(2275, cuts=3, with_input=True, saturated=True, layers=1, width=2, pool=1)  # "Unknown" by HiGHS
+    assert len(loop.system.modes) == 4

@@ -9,6 +9,7 @@ from .errors import SolverError
 
 TOLERANCE = 1e-9  # HiGHS keeps constraints and reduced costs to within this, in units of the row
 
+DUAL, PRIMAL = 1, 4  # HiGHS's numbers for its simplex methods; the dual one is its default
 CONCLUSIVE = (
     highspy.HighsModelStatus.kOptimal,
     highspy.HighsModelStatus.kInfeasible,
@@ -104,9 +105,11 @@ class LinearProgram:
         self.set_objective(columns, coefficients)
         self.highs.run()
         status = self.highs.getModelStatus()
-        if status not in CONCLUSIVE:  # the basis of the last objective can be a poor start: begin afresh
+        if status not in CONCLUSIVE:  # the basis of the last objective can be a poor start, the dual simplex can stall
             self.highs.clearSolver()
+            self.highs.setOptionValue("simplex_strategy", PRIMAL)
             self.highs.run()
+            self.highs.setOptionValue("simplex_strategy", DUAL)
             status = self.highs.getModelStatus()
         if status == highspy.HighsModelStatus.kOptimal:
             point = np.array(self.highs.getSolution().col_value)
