@@ -1,4 +1,7 @@
-"""The two inner loops of the iterations in the plane that are worth compiling (numba; cached on disk)."""
+"""The two inner loops of the iterations in the plane that are worth compiling.
+
+numba compiles them when they are first used, which takes some seconds, and keeps the result on disk.
+"""
 
 import numpy as np
 from numba import njit
