@@ -17,12 +17,12 @@
 # as Python.
 #
 # **What you will learn.**
-# - how a safe set ends: not by fading away, but at once, and where the state is that breaks it;
+# - how $\mathcal{F}_{\max}$ ends: not by fading away, but at once, and where the state is that breaks it;
 # - that the largest disturbance belongs to the *template* as much as to the loop;
 # - what the shape of the error set is worth when the plant is nonlinear;
 # - how far trajectories stay inside the sets that hold all of them.
 #
-# **What you need.** Notebooks 06 and 09. "Run all" takes about half a minute. The two labs need a running kernel; the
+# **What you need.** Notebooks 06 and 09. "Run all" takes about 15 seconds. The two labs need a running kernel; the
 # small pictures before each of them are made by the same functions and say the same without one.
 
 # %%
@@ -56,15 +56,16 @@ pwa = lab.subject("pwa")
 small_multiples(pwa, [(rf"$\|d\|_\infty \leq {bound}$", {"amount": bound}) for bound in (0.05, 0.15, 0.25)])
 
 # %% [markdown] tags=["course"]
-# **What to see.** From left to right the terminal set (blue hatch) swells, the trajectories spread, and then
-# $\mathcal{F}_{\max}$ (green) is gone altogether: for the largest bound the sequence of boxes comes to a stop at a set
-# that one step still leaves (red line to the cross).
+# **What to see.** From left to right the last $\overline{\mathcal{R}}_k$ (blue hatch) swells, the trajectories spread,
+# and then $\mathcal{F}_{\max}$ (green) is gone altogether: for the largest bound the sequence of boxes comes to a stop
+# at a set that one step still leaves (red line to the cross). That this sequence fails does not say that nothing is
+# safe; notebook 13 says what is.
 #
 # **The lab.** Drag *disturbance bound*; drag the red ring to start elsewhere (or put the focus on it and use the arrow
 # keys); press *play* to see every $\mathcal{F}_k$ and $\overline{\mathcal{R}}_k$ in turn. The curve at the bottom fills
-# in by itself while you rest: the area of the safe set over the bound, up to the largest bound that has one. Do not be
-# surprised that the area *grows* at first: $\mathcal{F}_k$ keeps what one step can reach (eq. Fk), and a larger
-# disturbance reaches more.
+# in by itself while you rest: the area of $\mathcal{F}_{\max}$ over the bound, up to the largest bound that has one. Do
+# not be surprised that the area *grows* at first: $\mathcal{F}_k$ keeps what one step can reach (eq. Fk), and a
+# larger disturbance reaches more.
 
 # %%
 widgets.DisturbanceLab("pwa")
@@ -73,12 +74,13 @@ widgets.DisturbanceLab("pwa")
 # ### The largest disturbance, by bisection
 #
 # What the curve does, as a loop: ask at one bound after the other, and close in on the last change. The lab gives the
-# sequence $\mathcal{F}_k$ at most 300 iterations; very close to the largest bound it would need more.
+# sequence $\mathcal{F}_k$ at most 300 iterations, which are enough here; the double integrator would need more very
+# close to its largest bound.
 
 
 # %% tags=["course"]
 def largest(subject, settings):
-    """The largest amount of disturbance for which there is a safe set, to within 1e-4 of the slider's range."""
+    """The largest amount of disturbance for which F_max is found, to within 1e-4 of the slider's range."""
     known, control = {}, subject.control("amount")
     while (amount := lab.next_amount(known, control.low, control.high)) is not None:
         known[amount] = lab.safe_set_at(subject, settings, amount)
@@ -105,12 +107,14 @@ small_multiples(integrator, choices)
 
 # %% [markdown] tags=["course"]
 # **What to see.** Left: the paper's setting, with the proven error as a box. Middle: the error set that is really
-# needed, a segment, makes the terminal set a sliver. Right: twice the error is too much for any of the sets
-# $\mathcal{F}_k$ that eight directions can describe. The dashed purple path is the nonlinear plant itself; it
-# belongs to no disturbance bound.
+# needed, a segment, makes the last set little more than half as large (0.16 instead of 0.28); the rule about the
+# origin never holds there, the sequence just stops changing. Right: for twice the error the sequence
+# $\mathcal{F}_k$ with eight directions comes to rest at a set that is not safe. The dashed purple path is the
+# nonlinear plant itself; it belongs to no disturbance bound.
 #
 # **The lab.** The amount is a multiple of the *proven* error of the fit. With *regions of the fit* the chessboard
-# becomes finer and the proven error smaller. Several trained networks are at hand, among them one without a safe set.
+# becomes finer and the proven error smaller. Several trained networks are at hand, among them one without
+# $\mathcal{F}_{\max}$.
 # Tick *with the maximal safe set* to see what no template can describe (notebook 13): where there is no
 # $\mathcal{F}_{\max}$ any more, the maximal set is often still there.
 
@@ -118,7 +122,7 @@ small_multiples(integrator, choices)
 widgets.DisturbanceLab("double_integrator")
 
 # %% tags=["course", "nbval-check-output"]
-print("largest multiple of the proven error that is proven safe, 8 directions")
+print("largest multiple of the proven error for which F_max is found, 8 directions")
 for regions in (2, 3, 4):
     found = [largest(integrator, {"shape": shape, "regions": regions}) for shape in ("box", "segment")]
     box, segment = ("none" if amount is None else f"{amount:.2f}" for amount in found)
@@ -127,13 +131,13 @@ for regions in (2, 3, 4):
 # %% [markdown] tags=["course"]
 # **What to see.** A finer fit has a smaller error, so that the loop stands a larger multiple of it; with four regions
 # not even the error of the fit itself. For the same fit the segment is the easier disturbance, because it lies in the
-# box: counting only the errors that can occur is worth half as much again.
+# box: counting only the errors that can occur is worth one and a half times the disturbance, and more.
 
 # %% [markdown] tags=["course"]
 # ## 3. Take it home
 #
-# The three buttons of the lab save the picture (SVG), all sets with their verdicts (JSON), and the lines of Python
-# that compute the same sets without the lab. From Python:
+# The three buttons of the lab save the picture (SVG), all sets that it shows, with their verdicts (JSON), and the
+# lines of Python that compute the same sets without the lab. From Python:
 
 # %% tags=["course", "nbval-check-output"]
 mine = widgets.DisturbanceLab("pwa", amount=0.1, safe_directions=8)
@@ -152,13 +156,15 @@ print("the same set:", np.array_equal(again["terminal"].set.h, mine.look.termina
 #
 # - A whole case study, a hundred sets, takes some hundredths of a second with the exact cells; that is why it can
 #   follow the hand.
-# - The safe set ends abruptly, at a bound that depends on the template.
+# - $\mathcal{F}_{\max}$ ends abruptly, at a bound that depends on the template.
 # - Proven sets are cautious: sampled trajectories fill only a part of them.
 #
 # ## On your own
 #
-# - For which bound does $\bar k$ become largest, and why not for the largest bound?
-# - Choose a network for which the rule about the origin does not end, then scale about the equilibrium.
+# - For which bounds does the sequence $\overline{\mathcal{R}}_k$ not end within the lab's 100 steps? Where does it
+#   stagnate, where does the rule hold?
+# - In the double integrator's lab, choose the network for which the rule about the origin does not end, then scale
+#   about the equilibrium.
 # - Find a start outside $\mathcal{F}_{\max}$ from which no trajectory leaves $\mathcal{X}$. What does that say about
 #   $\mathcal{F}_{\max}$?
 # - In the double integrator's lab, take 36 regions and make the multiple as large as it gets. How large is

@@ -17,6 +17,7 @@ LEFT_OUT = ["@jupyter/nbgrader"]  # extensions of JupyterLab that a page cannot 
 
 def without_course(_request, notebook, cwd):
     """The notebook with those cells only that make the page."""
+    notebook.metadata["title"] = "Disturbance lab"
     notebook.cells = [cell for cell in notebook.cells if COURSE not in cell.metadata.get("tags", [])]
     return notebook
 

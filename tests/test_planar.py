@@ -420,3 +420,13 @@ def test_where_even_no_disturbance_is_too_much():
     assert np.isnan(found.bound) and found.above == 0 and found.tried == 1
     with pytest.raises(ValueError, match="method must be"):
         mr.largest_disturbance(affine_loop(np.eye(2)), "none")
+
+
+@pytest.mark.parametrize("bound", [0.2620548704212598, 0.29493856257645784])
+def test_steps_backwards_come_to_rest_where_edges_nearly_coincide(bound):
+    """GEOS finds no noding for these bounds without a grid."""
+    loop = mr.case_study("double_integrator").loop.with_disturbance(mr.Polytope.box([-bound] * 2, [bound] * 2))
+    S, found = mr.Region.of(loop.system.state_set), mr.maximal_safe_set(loop, prove=False)
+    for _ in range(7):
+        S = S - planar.carried_out(loop, S)
+    assert S.area == pytest.approx(found.set.area, rel=1e-6)

@@ -65,9 +65,9 @@ class Control:
             If the value is no finite number, or not among the choices.
         """
         if self.choices:
-            if not isinstance(value, str) or value not in self.choices:
+            if str(value) not in self.choices:
                 raise ValueError(f"{self.name} must be one of {', '.join(self.choices)}; got {value!r}")
-            return value
+            return str(value)
         try:
             number = float(value)
         except (TypeError, ValueError) as error:
@@ -175,6 +175,7 @@ class Look:
                 "iterations": safe.iterations,
                 "set": safe.set and safe.set.to_dict(),
                 "history": [F.to_dict() for F in safe.history],
+                "leaves": safe.witness and safe.witness.states.tolist(),
             },
             "terminal_set": terminal
             and {
@@ -222,8 +223,7 @@ def _verdict(look):
     safe = look.safe
     if safe.set:
         return f"Proven safe: no disturbance leads out of F_max = F_{safe.iterations}"
-    kind = {"refuted": "There is no safe set with these directions", "unknown": "No safe set was found"}[safe.verdict]
-    return f"{kind}: {safe.reason.split(':')[0]}"
+    return f"No F_max was found: {safe.reason.split(':')[0]}"
 
 
 def _facts(look):
@@ -232,7 +232,7 @@ def _facts(look):
     largest = max(np.abs(mode.disturbance.vertices()).max() for mode in look.loop.system.modes)
     facts = [
         ("largest |d|∞", f"{largest:.4g}"),
-        ("iterations to F_max", f"{safe.iterations} ({safe.verdict})"),
+        ("iterations of Fₖ", f"{safe.iterations} ({'F_max proven' if safe.set else 'no F_max'})"),
     ]
     if safe.set:
         area = safe.set.area
@@ -242,10 +242,13 @@ def _facts(look):
         facts.append(("leaves X", f"x = {x} → {after}, d = {np.round(safe.witness.disturbances[0], 4).tolist()}"))
     if terminal is None:
         return [*facts, ("terminal set", f"none: {look.remark}"), ("computed in", f"{1e3 * look.seconds:.0f} ms")]
+    reason = terminal.reason.split(";")[0]
+    if not terminal.criterion and terminal.steps == MOST_STEPS:
+        reason = f"not settled after {MOST_STEPS} steps"
     return [
         *facts,
-        ("steps to R_min", f"{terminal.steps}: {terminal.reason.split(';')[0]}"),
-        ("area of R_min", f"{terminal.set.area:.4g}"),
+        ("steps to R_min" if terminal.criterion else "last Rₖ", f"k = {terminal.steps}: {reason}"),
+        ("its area", f"{terminal.set.area:.4g}"),
         ("α of Theorem 1", _alpha(terminal)),
         ("computed in", f"{1e3 * look.seconds:.0f} ms"),
     ]
@@ -296,7 +299,7 @@ def look(subject, settings=None):
     settings = subject.settle(settings or {})
     loop = subject.loop(settings)
     safe, seconds = _safe(loop, settings["safe_directions"])
-    terminal, remark = None, "there is no safe set to start from"
+    terminal, remark = None, "there is no F_max to start from"
     if safe.set:
         rule = (settings["directions"], epsilon_of(settings), settings["centre"])
         terminal, remark, more = _terminal(subject.base(settings), loop, settings["safe_directions"], *rule)
@@ -326,10 +329,10 @@ def maximal_set(loop):
 def maximal_scene(maximal, X):
     """What a page needs to draw a MaximalSafeSet within X, ready for JSON: "rings" of corners, and "text"."""
     if maximal.set is None:
-        text = "X holds no RPI set at all" if maximal.verdict == "refuted" else "not settled"
+        text = "none: X holds no RPI set (in floating point)" if maximal.verdict == "refuted" else "not settled"
         return {"rings": [], "text": text}
     area = maximal.set.area
-    text = f"{area:.4g} of {X.area:.4g} ({area / X.area:.0%} of X), {maximal.iterations} iterations"
+    text = f"{area:.4g} of {X.area:.4g} ({area / X.area:.0%} of X), in floating point, not proven"
     return {"rings": [ring.tolist() for ring in maximal.set.rings()], "text": text}
 
 
@@ -424,8 +427,8 @@ def _equilibrium(loop):
     """The equilibrium, or None and why."""
     try:
         return loop.equilibrium(), ""
-    except ValueError as error:
-        return None, str(error)
+    except ValueError:
+        return None, "this loop has no equilibrium that could be found; scale about the origin"
 
 
 def _plant_path(plant, network, start, steps):
@@ -478,9 +481,10 @@ def _loop_subject(loop):
     X = loop.system.state_set
     if X.dimension != 2:
         raise ValueError(f"the lab draws the plane, but the loop has {X.dimension} states")
+    start = (X.chebyshev()[0] + X.vertices()[0]) / 2
     return Subject(
         "loop",
-        (Control("amount", "disturbance, times its set", 1.0, 0.0, 3.0, 0.01), *_controls(X, 8, X.chebyshev()[0])),
+        (Control("amount", "disturbance, times its set", 1.0, 0.0, 4.0, 0.01), *_controls(X, 16, start)),
         lambda settings: loop,
         lambda settings: ["import mireach as mr", "", "# loop is the one that the lab was given"],
     )
@@ -518,7 +522,7 @@ def _integrator_subject(case):
     return Subject(
         "double_integrator",
         (
-            Control("amount", "disturbance, times the proven error", 1.0, 0.0, 4.0, 0.01),
+            Control("amount", "disturbance, times the proven error", 1.0, 0.0, 8.0, 0.01),
             Control("shape", "shape of the error set", "box", choices=shapes),
             Control("regions", "regions of the fit along each axis", 3, 1, 6, 1),
             choice,
@@ -555,9 +559,9 @@ def _networks(case):
         "shipped": [row for row in rows if trained[row.seed].to_dict() == shipped],
         "smallest loss": by_loss,
         "largest loss": by_loss[::-1],
-        "slowest to its terminal set": sorted(proven, key=lambda row: -row.steps * row.criterion),
-        "no end about the origin": [row for row in proven if not row.criterion],
-        "no safe set": [row for row in by_loss if row.verdict != "proven"],
+        "slowest": sorted(proven, key=lambda row: -row.steps * row.criterion),
+        "no end at the origin": [row for row in proven if not row.criterion],
+        "no F_max": [row for row in by_loss if row.verdict != "proven"],
     }
     networks, choices = ({OWN: case.network}, {OWN: "the one given"}) if given != shipped else ({}, {})
     for remark, candidates in remarks.items():

@@ -19,7 +19,7 @@ from .invariance import SafeSet, safe_set
 from .loop import ClosedLoop
 from .polygons import Polygons
 from .polytope import Polytope
-from .region import Region, hulls
+from .region import Region, hulls, overlay
 
 SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and far below what is seen in an area
 LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
@@ -288,7 +288,7 @@ def exact_reach(loop, F, steps):
 
 
 def attractor(loop, safe, *, tolerance=1e-3, max_steps=500):
-    """The smallest set that everything in a safe set enters: R_k(S) once the sequence has settled.
+    """A set that everything in a safe set enters, close to the smallest: R_k(S) once the sequence has settled.
 
     Parameters
     ----------
@@ -406,8 +406,8 @@ def _shrink(loop, every, slack, max_iterations, most_triangles=MOST_TRIANGLES):
     history = [S]
     for _ in range(max_iterations):
         gone = _union(lost, S, slack)
-        following = Region(_with_area(shapely.difference(S.shape, gone)))
-        fresh = Region(_with_area(shapely.intersection(S.shape, gone)))
+        following = Region(_with_area(overlay(shapely.difference, S.shape, gone)))
+        fresh = Region(_with_area(overlay(shapely.intersection, S.shape, gone)))
         if _is_thin(fresh, S, abs(slack)):
             return [*history, following] if fresh.area else history, ""
         history.append(following)
@@ -482,7 +482,7 @@ def _union(lost, S, slack):
         polygons = polygons.take(np.flatnonzero(shapely.get_dimensions(hulls(polygons)) == 2))
     shapes = hulls(polygons, slack if slack > 0 else -ROUNDING * slack)
     shapely.prepare(S.shape)
-    return shapely.union_all(shapes[shapely.intersects(S.shape, shapes)])
+    return overlay(shapely.union_all, shapes[shapely.intersects(S.shape, shapes)])
 
 
 def _is_thin(fresh, S, slack):
@@ -547,7 +547,7 @@ def _image(loop, every, R):
         corners = D.vertices()
         points = (chosen.points[:, None] + corners).reshape(-1, 2)
         shapes.append(hulls(Polygons(points, chosen.starts * len(corners))))
-    return Region(_without_specks(shapely.union_all(np.concatenate(shapes)), touch))
+    return Region(_without_specks(overlay(shapely.union_all, np.concatenate(shapes)), touch))
 
 
 def _sides(pieces):

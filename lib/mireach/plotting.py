@@ -279,7 +279,7 @@ def plot_step(ax, history, k, name=r"\mathcal{F}"):
     label_axes(ax, history[0], rf"${name}_{{{k}}}$")
 
 
-def plot_look(ax, look, title=None):
+def plot_look(ax, look, title=None, maximal=None):
     """One look of the disturbance lab: all F_k and R_k-bar, F_max, terminal set, trajectories, or why there are none.
 
     Parameters
@@ -287,8 +287,12 @@ def plot_look(ax, look, title=None):
     ax : matplotlib Axes
     look : lab.Look
     title : str or None
+    maximal : Region or None
+        The maximal safe set, if it is to be shown as well.
     """
     draw_regions(ax, look.loop.system)
+    if maximal is not None:
+        draw_region(ax, maximal, **MAXIMAL, zorder=0.6, label="maximal safe set")
     safe, terminal = look.safe, look.terminal
     for k, F in enumerate(safe.history):
         draw_set(ax, F, **EARLIER, label=r"$\mathcal{F}_k$" if k == 0 else None)
@@ -298,7 +302,8 @@ def plot_look(ax, look, title=None):
     if terminal:
         for k, R in enumerate(terminal.history[1:-1]):
             draw_set(ax, R, **SEQUENCE, label=r"$\overline{\mathcal{R}}_k$" if k == 0 else None)
-        draw_set(ax, terminal.set, **TERMINAL, label=r"$\overline{\mathcal{R}}_{\min}$", zorder=2)
+        name = r"$\overline{\mathcal{R}}_{\min}$" if terminal.criterion else r"last $\overline{\mathcal{R}}_k$"
+        draw_set(ax, terminal.set, **TERMINAL, label=name, zorder=2)
     ax.plot(*look.nominal.T, color=BLACK, linewidth=1.2, marker=".", markersize=3, label="nominal", zorder=3)
     if look.plant is not None:
         ax.plot(*look.plant.T, color=PURPLE, linestyle="--", linewidth=1.6, label="the plant itself", zorder=3)
@@ -307,5 +312,7 @@ def plot_look(ax, look, title=None):
         ax.plot(*path, color=RED, linewidth=2.2, label=r"a step that leaves $\mathcal{X}$", zorder=4)
         ax.plot(*path[:, :1], "o", color=RED, markersize=4, zorder=4)
         ax.plot(*path[:, 1:], "X", color=RED, markersize=6, zorder=4)
-        ax.text(0.5, 0.97, "no safe set", color=RED, ha="center", va="top", transform=ax.transAxes)
-    label_axes(ax, look.loop.system.state_set.scale(1.12, look.loop.system.state_set.chebyshev()[0]), title)
+        ax.text(0.5, 0.98, r"no $\mathcal{F}_{\max}$ found", color=RED, ha="center", va="top", transform=ax.transAxes)
+    X = look.loop.system.state_set
+    shown = X if safe.witness is None else type(X).from_points(np.vstack([X.vertices(), safe.witness.states]))
+    label_axes(ax, shown.scale(1.12, shown.chebyshev()[0]), title)

@@ -10,6 +10,7 @@ from .checks import real_array, require_columns, require_kind
 from .polygons import Polygons
 from .polytope import Polytope
 
+GRID = 1e-13  # of the grid that makes an operation of GEOS sturdy, relative to the largest coordinate: its rounding
 CERTAIN = 2.0**-50  # a turn is certain beyond this share of its two products, whose differences and products round
 
 
@@ -56,7 +57,7 @@ class Region:
         ValueError
             If a part is unbounded or does not lie in the plane; the message gives its size.
         """
-        return Region(shapely.union_all([_shape(part) for part in parts]))
+        return Region(overlay(shapely.union_all, [_shape(part) for part in parts]))
 
     @staticmethod
     def from_dict(value):
@@ -156,15 +157,15 @@ class Region:
 
     def __or__(self, other):
         """Union with a Region or Polytope."""
-        return Region(shapely.union(self.shape, _shape(other)))
+        return Region(overlay(shapely.union, self.shape, _shape(other)))
 
     def __and__(self, other):
         """Intersection with a Region or Polytope."""
-        return Region(shapely.intersection(self.shape, _shape(other)))
+        return Region(overlay(shapely.intersection, self.shape, _shape(other)))
 
     def __sub__(self, other):
         """Closure of what lies in this region and not in another Region or Polytope."""
-        return Region(shapely.difference(self.shape, _shape(other)))
+        return Region(overlay(shapely.difference, self.shape, _shape(other)))
 
     def sum(self, D):
         """Minkowski sum {x + d : x in the region, d in D}.
@@ -192,19 +193,40 @@ class Region:
         """
         middle, corners = _about_middle(D)
         kept = shapely.union_all(_polygons(self.shape))
-        kept = shapely.difference(kept, shapely.union_all(_widened_edges(kept, -corners)))
+        kept = overlay(shapely.difference, kept, overlay(shapely.union_all, _widened_edges(kept, -corners)))
         return Region(shapely.transform(shapely.union_all(_polygons(kept)), lambda x: x - middle))
 
     def _widened(self, corners):
         """The sum with the hull of `corners` (k, 2), which holds 0, as a shapely geometry."""
         if len(corners) == 1 or self.is_empty:
             return self.shape
-        return shapely.union_all([self.shape, *_widened_edges(self.shape, corners)])
+        return overlay(shapely.union_all, [self.shape, *_widened_edges(self.shape, corners)])
+
+
+def overlay(operation, *shapes):
+    """A set operation of shapely; where GEOS fails on edges that nearly coincide, again with rounded corners.
+
+    Parameters
+    ----------
+    operation : shapely.union_all, shapely.union, shapely.intersection or shapely.difference
+    *shapes
+        Its arguments.
+
+    Returns
+    -------
+    shapely geometry
+        In the second case with corners on a grid of `GRID` times the largest coordinate.
+    """
+    try:
+        return operation(*shapes)
+    except shapely.errors.GEOSException:
+        size = max(1.0, *(np.abs(shapely.get_coordinates(shape)).max(initial=0.0) for shape in shapes))
+        return operation(*shapes, grid_size=GRID * size)
 
 
 def union_of(polygons):
     """The Region that Polygons cover, segments and points included."""
-    return Region(shapely.union_all(hulls(polygons)))
+    return Region(overlay(shapely.union_all, hulls(polygons)))
 
 
 def hulls(polygons, margin=0.0):

@@ -83,7 +83,8 @@ class DisturbanceLab(anywidget.AnyWidget):
     Attributes
     ----------
     settings : dict
-        Control name -> value. May be set by code; values out of range go to the nearest end.
+        Control name -> value. May be replaced by code, as below (changes within the dict are not noticed); values
+        out of range go to the nearest end.
     look : lab.Look
         The answer to `settings`: sets, verdicts and trajectories.
 
@@ -111,7 +112,7 @@ class DisturbanceLab(anywidget.AnyWidget):
 
     def __init__(self, case, **settings):
         self.subject = subject(case)
-        self._stamp, self._looks, self._known, self._prepared = 0, 0, {}, []
+        self._stamp, self._looks, self._known, self._prepared, self._maximal = 0, 0, {}, [], None
         controls = [{**asdict(control), "choices": control.choices or None} for control in self.subject.controls]
         super().__init__(name=self.subject.name, controls=controls, settings=self.subject.settle(settings))
         self._answer()
@@ -155,20 +156,24 @@ class DisturbanceLab(anywidget.AnyWidget):
 
     def _on_message(self, _widget, message, _buffers):
         """What the page asks for: a look at other settings, some idle work, the maximal safe set, or a file."""
+        try:
+            self._do(message)
+        except (MireachError, ValueError, ArithmeticError) as error:
+            self.picture = {**self.picture, "error": str(error), "stamp": self._stamp}
+
+    def _do(self, message):
         if message["do"] == "look":
             self._stamp = message["stamp"]
-            try:
-                wanted = self.subject.settle(message["settings"])
-                if wanted == self.settings:
-                    self._answer()
-                self.settings = wanted
-            except (MireachError, ValueError) as error:
-                self.picture = {**self.picture, "error": str(error), "stamp": self._stamp}
+            wanted = self.subject.settle(message["settings"])
+            if wanted == self.settings:
+                self._answer()
+            self.settings = wanted
         elif message["do"] == "idle":
             self._idle()
         elif message["do"] == "layer":
             found = maximal_set(self.look.loop)
             self.layer = {**maximal_scene(found, self.look.loop.system.state_set), "number": self._looks}
+            self._maximal = found.set
         elif message["do"] == "save":
             ending, kind = KINDS[message["kind"]]
             name = f"mireach_{self.subject.name}.{ending}"
@@ -177,11 +182,13 @@ class DisturbanceLab(anywidget.AnyWidget):
     def _text(self, kind):
         if kind == "script":
             return self.script()
+        maximal = self._maximal if self.layer.get("number") == self._looks else None
         if kind == "sets":
-            return json.dumps(self.look.to_dict(), indent=1)
+            found = {"subject": self.subject.name, **self.look.to_dict()}
+            return json.dumps(found | {"maximal_safe_set": maximal and maximal.to_dict()}, indent=1)
         figure = Figure(figsize=(6, 6.4), layout="constrained")
         ax = figure.add_subplot()
-        plot_look(ax, self.look)
+        plot_look(ax, self.look, maximal=maximal)
         legend_above(ax, 4)
         file = io.StringIO()
         save_svg(figure, file)
@@ -225,11 +232,13 @@ class DisturbanceLab(anywidget.AnyWidget):
         points = sorted(self._points.items())
         largest, settled = largest_amount(self._points), self._next_amount() is None
         found = "none" if largest is None else f"{largest:.4f}"
+        if largest == self.subject.control("amount").high:
+            found = f"{found} or more, the end of the range"
         self.curve = {
             "points": [[amount, found and found.area] for amount, found in points],
             "largest": largest,
             "largest_set": None if largest is None else self._points[largest].vertices().tolist(),
             "settled": settled,
             "done": settled and not self._ahead,
-            "summary": f"Area of the safe set over the disturbance; largest with a safe set: {found}.",
+            "summary": f"Area of F_max over the disturbance; largest with an F_max: {found}.",
         }

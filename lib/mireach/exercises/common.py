@@ -26,7 +26,8 @@ def require_array(answer, shape, name):
     except (TypeError, ValueError):
         raise Wrong(f"{name} must be an array of numbers; got {type(answer).__name__}") from None
     fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
-    require(fits, f"{name} must have shape {shape}; got {array.shape}")
+    needed = str(shape).replace("None", "k") if shape else "(), one number"
+    require(fits, f"{name} must have shape {needed}; got {array.shape}")
     require(np.isfinite(array).all(), f"{name} holds entries that are not finite")
     return array
 

@@ -14,6 +14,7 @@ const VIEWS = { state: "all of X", safe: "the safe set", terminal: "the terminal
 function render({ model, el }) {
   const lab = build(model.get("controls"));
   lab.root.dataset.subject = model.get("name");
+  lab.root.setAttribute("aria-label", `Disturbance lab of ${model.get("name")}`);
   el.classList.add("mireach-lab");
   el.append(lab.root);
   const inputs = lab.inputs;
@@ -80,7 +81,7 @@ function render({ model, el }) {
   // -- controls --------------------------------------------------------------------------------------
 
   function set(name, value) {
-    inputs[name].show(value);
+    inputs[name].show(value, true);
     if (settings[name] === value) return;
     settings = { ...settings, [name]: value };
     ask();
@@ -155,8 +156,9 @@ function render({ model, el }) {
     lab.stepName.textContent = `${chosen.name}${subscript(chosen.k)} (${k + 1} of ${sequence.length})`;
     lab.step.setAttribute("aria-valuetext", `${chosen.name} ${chosen.k}`);
     const scene = lab.scene;
-    const focus = { state: picture.state, safe: picture.safe, terminal: picture.terminal }[view] || picture.state;
-    bounds = frame(focus);
+    for (const option of lab.view.options) option.disabled = !picture[option.value];
+    if (!picture[view]) view = lab.view.value = "state";
+    bounds = frame(view === "state" ? [...picture.state, ...(picture.witness || [])] : picture[view]);
     const place = ([x, y]) => [bounds.x(x), bounds.y(y)];
     const path = (points, closed) =>
       "M" + points.map((p) => place(p).map((c) => c.toFixed(2)).join(",")).join("L") + (closed ? "Z" : "");
@@ -172,24 +174,32 @@ function render({ model, el }) {
     if (!picture.safe && curve.largest_set) parts.push(shape(curve.largest_set, "largest"));
     for (const trajectory of picture.disturbed) parts.push(line(trajectory, "disturbed"));
     if (picture.terminal) parts.push(shape(picture.terminal, "terminal"));
-    parts.push(shape(chosen.points, "chosen"));
+    if (index < sequence.length - 1) parts.push(shape(chosen.points, "chosen"));
     if (picture.plant) parts.push(line(picture.plant, "plant"));
     parts.push(line(picture.nominal, "nominal"));
     for (const [x, y] of picture.nominal) parts.push(dot(place([x, y]), 1.8, "nominal-state"));
     if (picture.witness) {
       parts.push(line(picture.witness, "witness"));
-      picture.witness.forEach((p, i) => parts.push(dot(place(p), i ? 4.5 : 3, i ? "left" : "witness-state")));
+      parts.push(dot(place(picture.witness[0]), 3, "witness-state"), cross(...place(picture.witness[1]), "left", 5));
     }
     const [cx, cy] = place(picture.centre);
     parts.push(draft("path", { d: `M${cx - 5},${cy}H${cx + 5}M${cx},${cy - 5}V${cy + 5}`, class: "centre" }));
     scene.marks.replaceChildren(...parts);
     scene.axes.replaceChildren(...axes(bounds));
-    const [hx, hy] = place([settings.x1, settings.x2]);
-    scene.start.setAttribute("cx", hx);
-    scene.start.setAttribute("cy", hy);
+    placeStart();
     scene.svg.setAttribute("aria-label", `The plane of states. ${picture.verdict}. Marked set: ${chosen.name} ${chosen.k}.`);
     lab.root.dataset.chosen = `${chosen.name}${chosen.k}`;
     for (const [name, item] of Object.entries(lab.legend)) item.hidden = !shown(name, picture, curve, rings);
+  }
+
+  function placeStart() {
+    // where the initial state is, or at the edge of the picture nearest to it
+    const { x1, x2 } = settings, clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+    const start = lab.scene.start;
+    start.setAttribute("cx", clamp(bounds.x(x1), EDGE.left, SIZE - EDGE.right));
+    start.setAttribute("cy", clamp(bounds.y(x2), EDGE.top, SIZE - EDGE.bottom));
+    start.setAttribute("aria-valuenow", x1);
+    start.setAttribute("aria-valuetext", `x1 = ${x1}, x2 = ${x2}`);
   }
 
   function drawChart() {
@@ -205,7 +215,7 @@ function render({ model, el }) {
       parts.push(draft("path", { d: `M${x(value)},${base}v4`, class: "axis" }));
       parts.push(words(x(value), base + 15, number(value), "middle"));
     }
-    for (const value of ticks(0, top, 3)) parts.push(words(left - 5, y(value) + 4, number(value), "end"));
+    if (points.some(([, area]) => area)) for (const value of ticks(0, top, 3)) parts.push(words(left - 5, y(value) + 4, number(value), "end"));
     const proven = points.filter(([, area]) => area !== null);
     if (proven.length)
       parts.push(draft("path", { d: "M" + proven.map(([a, area]) => `${x(a).toFixed(1)},${y(area).toFixed(1)}`).join("L"), class: "area" }));
@@ -214,12 +224,13 @@ function render({ model, el }) {
     if (curve.largest !== null && curve.largest !== undefined) {
       parts.push(draft("path", { d: `M${x(curve.largest)},${above}V${base}`, class: "largest" }));
       const near = x(curve.largest) > width - 110;
-      const text = `largest ${curve.settled ? "" : "so far "}${curve.largest.toFixed(4)}`;
+      const name = curve.largest >= control.high ? "at least" : curve.settled ? "largest" : "largest so far";
+      const text = `${name} ${curve.largest.toFixed(4)}`;
       parts.push(words(x(curve.largest) + (near ? -4 : 4), above + 2, text, near ? "end" : "start"));
-    } else if (curve.settled) parts.push(words(width / 2, above + 30, "no safe set for any amount tried", "middle"));
+    } else if (curve.settled) parts.push(words(width / 2, above + 30, "no F_max for any amount tried", "middle"));
     parts.push(draft("path", { d: `M${x(settings.amount)},${above}V${base}`, class: "now" }));
     lab.chart.replaceChildren(...parts);
-    lab.chart.setAttribute("aria-label", curve.summary || "Area of the safe set over the disturbance: not computed yet.");
+    lab.chart.setAttribute("aria-label", curve.summary || "Area of F_max over the disturbance: not computed yet.");
     lab.root.dataset.largest = curve.settled ? curve.largest : "";
   }
 
@@ -231,8 +242,7 @@ function render({ model, el }) {
     settings = { ...settings, x1, x2 };
     inputs.x1.show(x1);
     inputs.x2.show(x2);
-    lab.scene.start.setAttribute("cx", bounds.x(x1));
-    lab.scene.start.setAttribute("cy", bounds.y(x2));
+    placeStart();
     ask();
   }
 
@@ -303,12 +313,12 @@ function build(controls) {
   }
 
   const scene = {
-    svg: draft("svg", { viewBox: `0 0 ${SIZE} ${SIZE}`, class: "scene", role: "img" }),
+    svg: draft("svg", { viewBox: `0 0 ${SIZE} ${SIZE}`, class: "scene", role: "group" }),
     axes: draft("g", { class: "axes" }),
     marks: draft("g", { "clip-path": `url(#${page}-frame)` }),
     start: draft("circle", {
       r: 8, class: "start", tabindex: 0, role: "slider", "aria-label": "Initial state: drag it, or use the arrow keys",
-      "aria-valuetext": "in the fields x1 and x2", [OWN_KEYS[0]]: OWN_KEYS[1],
+      [OWN_KEYS[0]]: OWN_KEYS[1],
     }),
   };
   const frameBox = { x: EDGE.left, y: EDGE.top, width: SIZE - EDGE.left - EDGE.right, height: SIZE - EDGE.top - EDGE.bottom };
@@ -331,7 +341,7 @@ function build(controls) {
     node("span", {}, layer, node("label", { for: `${page}-layer` }, "with the maximal safe set, without a template")));
 
   const legend = {
-    maximal: "maximal safe set", safe: "F_max", earlier: "F_k", reach: "R_k", terminal: "R_min", chosen: "marked set", disturbed: "disturbed",
+    maximal: "maximal safe set", safe: "F_max", earlier: "F_k", reach: "R_k", terminal: "terminal set", chosen: "marked set", disturbed: "disturbed",
     nominal: "nominal", plant: "the plant itself", witness: "a step that leaves X", largest: "F_max at the largest disturbance",
     centre: "centre of the stopping rule",
   };
@@ -341,8 +351,9 @@ function build(controls) {
     swatch.append(name === "centre" ? draft("path", { d: "M8,6H18M13,1V11", class: "centre" })
       : ["disturbed", "nominal", "plant", "witness"].includes(name) ? draft("path", { d: "M1,6H25", class: `line ${name}` })
       : draft("rect", { x: 1, y: 1, width: 24, height: 10, class: name }));
-    const [base, lower] = text.split("_");
-    items[name] = node("span", { class: "item" }, swatch, lower ? node("i", {}, base, node("sub", {}, lower)) : text);
+    const [, base, lower, rest] = text.match(/^(\w)_(\w+)(.*)$/) || [];
+    const parts = base ? [node("i", {}, base, node("sub", {}, lower)), rest] : [text];
+    items[name] = node("span", { class: "item" }, swatch, node("span", {}, ...parts));
   }
 
   const verdict = node("p", { class: "verdict", role: "status", "aria-live": "polite" });
@@ -354,12 +365,12 @@ function build(controls) {
     script: node("button", { type: "button" }, "Python"),
   };
   const amount = controls.find((control) => control.name === "amount");
-  const root = node("div", { class: "columns" },
+  const root = node("div", { class: "columns", role: "group" },
     node("div", { class: "left" }, verdict, scene.svg, timeline, node("div", { class: "legend" }, ...Object.values(items))),
     node("div", { class: "right" },
       node("div", { class: "controls" }, ...rows),
       facts,
-      node("p", { class: "caption" }, `Area of the safe set over “${amount.label}”; ✕: none found`),
+      node("p", { class: "caption" }, `Area of F_max over “${amount.label}”; ✕: none found`),
       chart,
       node("div", { class: "save" }, node("span", {}, "Save:"), ...Object.values(save))));
   return { root, inputs, scene, step, stepName, play, view, layer, legend: items, verdict, facts, chart, save };
@@ -370,17 +381,18 @@ function numeric(control, id) {
   const box = node("input", { type: "number", id, ...range });
   const slider = control.slider ? node("input", { type: "range", "aria-label": control.label, ...range }) : null;
   const settle = (text) => Math.min(Math.max(Number(text), control.low), control.high);
+  let shown = "";
   return {
     control,
     elements: slider ? [slider, box] : [box],
-    show(value) {
-      const text = String(Math.round(value * 1e6) / 1e6);
-      if (slider) slider.value = text;
-      if (document.activeElement !== box || Number(box.value) !== Number(text)) box.value = text;
+    show(value, own = false) {
+      shown = String(Math.round(value * 1e6) / 1e6);
+      if (slider) slider.value = shown;
+      if (own || document.activeElement !== box) box.value = shown; // else somebody is typing
     },
     listen(act) {
       if (slider) slider.addEventListener("input", () => act(settle(slider.value)));
-      const read = () => box.value !== "" && Number.isFinite(Number(box.value)) && act(settle(box.value));
+      const read = () => (box.value !== "" && Number.isFinite(Number(box.value)) ? act(settle(box.value)) : (box.value = shown));
       box.addEventListener("change", read);
       box.addEventListener("keydown", (event) => event.key === "Enter" && read()); // JupyterLab keeps the default away
     },
@@ -432,8 +444,8 @@ function dot([x, y], r, name) {
   return draft("circle", { cx: x.toFixed(2), cy: y.toFixed(2), r, class: name });
 }
 
-function cross(x, y, name) {
-  return draft("path", { d: `M${x - 3},${y - 3}L${x + 3},${y + 3}M${x - 3},${y + 3}L${x + 3},${y - 3}`, class: name });
+function cross(x, y, name, r = 3) {
+  return draft("path", { d: `M${x - r},${y - r}L${x + r},${y + r}M${x - r},${y + r}L${x + r},${y - r}`, class: name });
 }
 
 function frame(points) {
