@@ -120,3 +120,29 @@ def test_every_pair_of_rows_may_make_a_vertex():
     assert len(found) == 32
     for point in pairs:
         assert np.abs(found - point).max(axis=1).min() < 1e-9
+
+
+def test_a_half_strip_is_unbounded_and_a_row_of_zeros_may_hold_with_equality():
+    assert not len(vertices([[1, 0], [-1, 0], [0, 1]], [1, 1, 1]))
+    assert len(vertices([[1, 0], [-1, 0], [0, 1], [0, -1], [0, 0]], [1, 1, 1, 1, 0])) == 4
+
+
+def test_corners_that_rounding_feigns_are_left_out():
+    assert len(around(np.array([[0, 0], [0.5, -1e-14], [1, 0], [1, 1], [0, 1]], float))) == 4
+
+
+def test_a_tip_that_only_touches_counts():
+    polygons = Polygons.of([np.array([[0.0, 0], [2, 0], [2, 1]]), np.array([[0.0, 0], [-0.5, 1], [-0.5, -1]])])
+    maps = np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)), np.zeros(2, int)
+    beyond = readonly([[-1.0, 0]]), readonly([-2.0])  # x1 >= 2
+    asked = np.full((2, 2), 9.0), np.zeros((1, 2)), *beyond, TOL, np.eye(2)
+    value, _ = highest(polygons.points, polygons.starts, *polygons.discs, *maps, *asked)
+    np.testing.assert_allclose(value, [2, 1])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_many_rows_through_one_vertex_give_it_once(seed):
+    rng = np.random.default_rng(seed)
+    centre, angles = 10 * rng.normal(size=2), np.sort(rng.uniform(0.2, 1.3, 6))
+    H = np.vstack([np.column_stack([np.cos(angles), np.sin(angles)]), [[-1, 0], [0, -1]]])
+    assert len(vertices(H, H @ centre + np.array([0] * 6 + [1, 1]))) in (3, 4)

@@ -430,3 +430,47 @@ def test_steps_backwards_come_to_rest_where_edges_nearly_coincide(bound):
     for _ in range(7):
         S = S - planar.carried_out(loop, S)
     assert S.area == pytest.approx(found.set.area, rel=1e-6)
+
+
+def test_a_mode_that_acts_on_a_line_only_is_heeded_at_every_step():
+    net = MaxoutNetwork([mr.Layer([[1.0, 0], [-1.0, 0]], [0, 0], 2)], [[1.0]], [0.0])  # u = |x1|
+    zero, column = np.zeros((2, 2)), np.zeros((2, 1))
+    regions = [
+        ([[0, 0, -1.0], [1, 0, 0]], [0.0, 1.25]),
+        ([[-1.0, 0, 0]], [-1.25]),
+        ([[0, 0, 1.0], [1, 0, 0]], [0.0, 1.25]),
+    ]
+    targets = [1.0, 0], [9.0, 0], [1.5, 0]  # the third acts where u = 0: on x1 = 0, which is lost in the second step
+    modes = [mr.Mode(zero, column, target, mr.Polytope(*region)) for region, target in zip(regions, targets)]
+    found = mr.maximal_safe_set(mr.ClosedLoop(mr.PWASystem(modes, square(2), mr.Polytope.box([-3], [3])), net))
+    assert found.verdict == "proven" and found.set.components == 2 and not found.set.contains([0.0, 1.0])
+    assert found.set.area == pytest.approx(13, rel=1e-6)
+
+
+def test_outer_bound_holds_what_is_safe_by_a_hair():
+    found = mr.maximal_safe_set(
+        constant_loop([[-2.0, 0], [0, 9.0], [2.0, 0]], stripes(-3.0, -1.0, 1.0, 3.0), square(0.5))
+    )
+    assert found.outer.contains([[-1 - 1e-12, 0.5], [1 + 1e-12, 0.5]]).all()
+
+
+@pytest.mark.parametrize(("gradient", "edge"), [(0.0, 0.25), (1e-5, 2.0**-21), (1e-8, 2.0**-10)])
+def test_nothing_is_refuted_where_floats_do_not_tell_which_mode_acts(gradient, edge):
+    """u rests on the limit of two regions, or leaves it so slowly that the float cells reach too far."""
+    zero, column, box = np.zeros((2, 2)), np.zeros((2, 1)), mr.Polytope.box([-0.25, -0.25], [edge, 0.25])
+    if gradient:
+        limit, net, safe = (
+            0.0,
+            MaxoutNetwork((), [[gradient, 0.0]], [0.0]),
+            mr.Polytope.box([edge / 4, -0.125], [edge, 0.125]),
+        )
+    else:  # saturated at the float 0.1, which lies above one tenth
+        limit, net, safe = 0.1, MaxoutNetwork((), [[1.0, 0.0]], [5.0]).saturate([-0.1], [0.1]), box
+    modes = [
+        mr.Mode(zero, column, [9.0, 0], mr.Polytope([[0, 0, 1.0]], [limit])),
+        mr.Mode(zero, column, [edge / 2, 0], mr.Polytope([[0, 0, -1.0]], [-limit])),
+    ]
+    loop = mr.ClosedLoop(mr.PWASystem(modes, box, mr.Polytope.box([-1], [1])), net)
+    assert mr.prove_rpi(loop, safe).verdict == "proven"
+    found = mr.maximal_safe_set(loop)
+    assert found.verdict != "refuted" and found.outer.area == pytest.approx(box.area)

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import shapely
 
 import mireach as mr
+from mireach.engines import exact
 from mireach.region import hulls, union_of
 
 SQUARE, SMALL = mr.Polytope.box([0, 0], [4, 4]), mr.Polytope.box([1, 1], [3, 3])
@@ -112,3 +114,26 @@ def test_what_is_no_region_is_refused():
         mr.Region.of().bounding_box()
     with pytest.raises(ValueError, match="nonempty polytope of the plane"):
         mr.Region.of(SQUARE).sum(mr.Polytope([[1.0, 0], [-1, 0]], [-1, -1]))
+
+
+def test_sum_with_and_erosion_by_a_segment_that_does_not_hold_the_origin():
+    wide = mr.Region.of(mr.Polytope.box([0, 0], [1, 1])).sum(mr.Polytope.box([1, 0], [2, 0]))
+    assert [limit.tolist() for limit in wide.bounding_box()] == [[1, 0], [3, 1]] and wide.area == pytest.approx(2)
+    narrow = mr.Region.of(mr.Polytope.box([0, 0], [4, 1])).erode(mr.Polytope.box([1, 0], [2, 0]))
+    assert [limit.tolist() for limit in narrow.bounding_box()] == [[-1, 0], [2, 1]]
+
+
+def test_tolerance_of_the_point_test_is_what_it_says():
+    square = mr.Region.of(mr.Polytope.box([0, 0], [1, 1]))
+    assert square.contains([1.09, 0.5], tol=0.1) and not square.contains([1.15, 0.5], tol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_pieces_are_convex_beyond_rounding(seed):
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(2, 2))
+    across, middle = np.array([-(b - a)[1], (b - a)[0]]), a + rng.uniform(0.2, 0.8) * (b - a)
+    halves = shapely.Polygon([a, middle, a + across]), shapely.Polygon([middle, b, a + across])
+    pieces = mr.Region(shapely.union_all(halves)).pieces
+    for i in range(len(pieces)):
+        assert len(exact._hull([exact.binary(x) for x in pieces[i]])) == len(pieces[i])

@@ -27,6 +27,7 @@ MOST_ITERATIONS = 500  # default of `max_iterations`
 MOST_TRIANGLES = 1_000  # that an S_k may fall into; a larger slack then ends a boundary of ever more corners sooner
 MOST_LOST = 10_000  # the same where nothing has to be proven afterwards
 COARSER = 4  # powers of 10 by which the slack may grow
+STEEP = 0.2  # rows of a region that change with x more slowly than this (relative to their length) are not located well
 ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
 
 
@@ -159,7 +160,8 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
     What rests on floats: that `outer` holds every RPI set, and so that X holds none where it is empty. There
     the iteration removes only states that are lost with a margin: lost sets are shrunk by the slack before
     anything is taken to be carried into them, and the result is widened by it. The slack is thousands of times
-    the rounding of one operation, but that no rounding exceeds it is not proven.
+    the rounding of one operation, but that no rounding exceeds it is not proven. Where Phi rests on a boundary of
+    regions that involve u, or nearly so, floats do not tell which mode acts; then `outer` is X.
 
     On a boundary of regions every mode counts, so that a single line may be lost; the slack removes a thin strip
     with it. The maximal set itself need not be closed; `set` and `outer` are.
@@ -170,6 +172,8 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
         raise ValueError(f"slack must be at least {LEAST_SLACK:g}, above the rounding of GEOS; got {slack:g}")
     outer = _shrink(loop, every, -slack * _size(every), max_iterations, MOST_LOST)[0][-1]
     outer = outer.sum(_square(slack * _size(every))) & loop.system.state_set if not outer.is_empty else outer
+    if _mode_in_doubt(loop, every):
+        outer = Region.of(loop.system.state_set)
     if outer.is_empty:
         reason = "X holds no RPI set: every state of it can be driven out of it"
         return MaximalSafeSet(None, outer, 0, [Region.of(loop.system.state_set)], "refuted", reason, slack)
@@ -178,6 +182,9 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
         history, unfinished = _shrink(loop, every, tried * _size(every), max_iterations)
         if unfinished or history[-1].is_empty:
             failures.append(f"with slack {tried:g} {unfinished or 'nothing is left'}")
+            continue
+        if history[-1].area > outer.area:
+            failures.append(f"with slack {tried:g} only rounding is left")
             continue
         found = history[-1], outer, len(history) - 1, history
         if not prove:
@@ -388,6 +395,29 @@ def _has_safe_region(loop):
     every = dynamics(loop)
     history, unfinished = _shrink(loop, every, SLACK * _size(every), MOST_ITERATIONS, MOST_LOST)
     return not unfinished and not history[-1].is_empty
+
+
+def _mode_in_doubt(loop, every):
+    """Whether some cell touches a row of its mode's region along which u hardly depends on x.
+
+    The float cells of such a mode may reach beyond the region by more than the slack, or be there although the
+    mode never acts.
+    """
+    found, polygons, near = every.cells, every.cells.polygons, SLACK * _size(every)
+    domain = loop.system.state_set.product(loop.system.input_set)
+    for number, mode in enumerate(loop.system.modes):
+        own = np.flatnonzero(found.mode == number)
+        part = polygons.take(own)
+        reach = domain.support(mode.region.H) - mode.region.h
+        for row, offset, excess in zip(mode.region.H, mode.region.h, reach):
+            if not row[2:].any() or not len(own) or excess <= near * np.linalg.norm(row):  # such as a limit of U itself
+                continue
+            a, b = row[:2] + row[2:] @ found.K[own], offset - found.g[own] @ row[2:]
+            flat = np.linalg.norm(a, axis=1) < STEEP * np.linalg.norm(row)
+            nearest = part.largest(np.einsum("ti,ti->t", part.points, a[part.owner]) - b[part.owner])
+            if (flat & (nearest > -near * np.linalg.norm(row))).any():
+                return True
+    return False
 
 
 # -- backwards ----------------------------------------------------------------------------------------

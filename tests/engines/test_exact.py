@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import shapely
 from loops import affine_loop, assert_escapes, brute_support, exact_input, exactly_inside, jump_loop, random_loop
 
 import mireach as mr
@@ -129,3 +130,53 @@ def test_one_step_only():
         mr.support(affine_loop(0.5 * np.eye(2)), square(1), mr.directions(4), steps=2, engine="exact")
     empty = mr.Polytope([[1.0, 0], [-1, 0]], [-5, -5])
     assert mr.support(affine_loop(0.5 * np.eye(2)), empty, mr.directions(4), engine="exact").bound.max() == -np.inf
+
+
+ZERO, COLUMN = np.zeros((2, 2)), np.zeros((2, 1))
+
+
+def constant_maps(regions, targets, X):
+    """x+ = target on each region (H, h) of (x, u), with u = 0."""
+    modes = [mr.Mode(ZERO, COLUMN, target, mr.Polytope(*region)) for region, target in zip(regions, targets)]
+    net = mr.MaxoutNetwork((), np.zeros((1, 2)), [0.0])
+    return mr.ClosedLoop(mr.PWASystem(modes, X, mr.Polytope.box([-1], [1])), net)
+
+
+@pytest.mark.parametrize("flip", [1, -1])
+def test_a_flat_cell_does_not_stand_for_the_whole_of_its_line(flip):
+    flat = mr.Polytope.box([-1, 0], [1, 0])  # nothing acts between -1/2 and 1/2
+    loop = constant_maps([([[1.0, 0, 0]], [-0.5]), ([[-1.0, 0, 0]], [-0.5])], [[0.75, 0]] * 2, flat)
+    assert mr.prove_rpi(loop, flat).verdict == "refuted"
+    beside = [([[1.0, 0, 0]], [0.5 - 1e-8]), ([[-1.0, 0, 0]], [-0.5 - 1e-8])]  # a gap, too narrow to be noticed
+    within = [([[1.0, 0, 0], [-1, 0, 0], [0, flip, 0]], [0.5, -0.5, -0.5])]  # a mode on a part of the line in it
+    loop = constant_maps(beside + within, [[0.5, -0.75 * flip]] * 3, square(1))
+    assert mr.prove_rpi(loop, mr.Region(shapely.LineString([[0.5, -1], [0.5, 1]]))).verdict == "refuted"
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_segment_that_is_cut_stays_a_segment(side):
+    segment = [exact.binary(x) for x in ([0.0, 0.0], [1.0, 0.0])]
+    cut = exact._clip(segment, exact.binary([side, 0.0]), exact.binary(side * 0.5))
+    assert len(cut) == 2 and exact.binary([0.5, 0.0]) in cut
+
+
+def test_a_witness_leaves_flat_parts_as_well():
+    loop = affine_loop(0 * np.eye(2), square(0.25))
+    step = mr.prove_rpi(loop, mr.Region.of(np.zeros((1, 2)))).witness
+    assert step.after != (0, 0) and step.after == exact.successor(loop, step.state, step.mode, step.disturbance)
+
+
+def test_limits_of_regions_are_decimals_too():
+    regions = [([[1.0, 0, 0]], [0.1]), ([[-1.0, 0, 0]], [-0.1])]
+    loop = constant_maps(regions, [[9.0, 0], [0.5, 0]], square(3))  # the float 0.1 lies above one tenth
+    assert mr.prove_rpi(loop, mr.Polytope.box([0.1, -1], [1, 1])).verdict == "proven"
+
+
+def test_a_flat_cell_is_cut_by_rows_of_u():
+    net = mr.MaxoutNetwork((), np.array([[0.0, 1.0]]), [0.0])  # u = x2; on x1 = 0, u >= 1.5 a third mode acts
+    line = mr.Polytope([[1.0, 0, 0], [-1, 0, 0], [0, 0, -1]], [0.0, 0, -1.5])
+    modes = [mr.Mode(ZERO, COLUMN, [0.5, 0], mr.Polytope([[sign, 0, 0]], [0.0])) for sign in (1.0, -1.0)]
+    system = mr.PWASystem([*modes, mr.Mode(ZERO, COLUMN, [9.0, 0], line)], square(2), mr.Polytope.box([-3], [3]))
+    loop = mr.ClosedLoop(system, net)
+    assert mr.prove_rpi(loop, square(1)).verdict == "proven"
+    assert mr.prove_rpi(loop, square(1.75)).verdict == "refuted"

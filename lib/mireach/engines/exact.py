@@ -253,7 +253,8 @@ def _clip(corners, a, b):
         if value * after < 0:
             share = value / (value - after)
             kept.append((x[0] + share * (y[0] - x[0]), x[1] + share * (y[1] - x[1])))
-    return [x for i, x in enumerate(kept) if i == 0 or x != kept[i - 1]]  # a segment is crossed there and back
+    kept = [x for i, x in enumerate(kept) if i == 0 or x != kept[i - 1]]
+    return kept[:-1] if len(kept) > 1 and kept[-1] == kept[0] else kept  # a segment is crossed there and back
 
 
 def _clip_all(corners, rows):
@@ -329,8 +330,8 @@ def _less_one(part, sides):
         if any(beyond):
             outside.append(_clip(inside, tuple(-entry for entry in a), -b))
             inside = _clip(inside, a, b)
-            if min(len(inside), 3) < dimension:  # what they share has no interior: nothing is taken away
-                return [part]
+            if min(len(inside), 3) < dimension:  # what they share has no interior: all the rest is outside
+                return outside
     return outside
 
 
