@@ -224,11 +224,6 @@ def overlay(operation, *shapes):
         return operation(*shapes, grid_size=GRID * size)
 
 
-def union_of(polygons):
-    """The Region that Polygons cover, segments and points included."""
-    return Region(overlay(shapely.union_all, hulls(polygons)))
-
-
 def hulls(polygons, margin=0.0):
     """Polygons as an array (N,) of shapely geometries, each widened by the box |x|_inf <= margin (units of x)."""
     points, owner = polygons.points, polygons.owner
