@@ -5,7 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mireach.datasets import DataSet, make_double_integrator_data, make_pwa_data
+from mireach.datasets import (
+    DataSet,
+    make_double_integrator_data,
+    make_four_tanks_data,
+    make_pwa_data,
+    make_three_tanks_data,
+)
 from mireach.errors import CorruptFileError
 from mireach.mpc import NonlinearMPC, solve_miqp
 from mireach.plants import double_integrator_plant, pwa_plant
@@ -110,3 +116,15 @@ def test_shipped_double_integrator_data():
         solution = mpc.solve(data.states[i])
         assert solution.cost == pytest.approx(data.costs[i], rel=1e-7)
         np.testing.assert_allclose(solution.inputs[0], data.inputs[i], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "sizes"),
+    [("three_tanks", make_three_tanks_data, (1495, 5)), ("four_tanks", make_four_tanks_data, (2000, 0))],
+)
+def test_shipped_tank_data(name, make, sizes):
+    data, made = DataSet.load(DATA / name / "samples.csv"), make(count=15, progress=False)
+    assert (len(data), len(data.infeasible)) == sizes
+    np.testing.assert_array_equal(made.states, data.states[: len(made)])
+    np.testing.assert_allclose(made.inputs, data.inputs[: len(made)], atol=1e-7)
+    np.testing.assert_allclose(made.costs, data.costs[: len(made)], rtol=1e-9)

@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 from tqdm.auto import tqdm
 
-from .case_studies import NAMES, CaseStudy, case_study, data_file
+from .case_studies import PAPER, CaseStudy, case_study, data_file
 from .files import write_json, write_whole
 from .invariance import (
     MinimalSet,
@@ -106,7 +106,7 @@ def reproduce(results="results", figures="docs/figures", engine=None, cross_chec
     """
     from . import plotting  # noqa: F401 - where matplotlib is missing this says so, before the work is done
 
-    analyses = [analyse(case_study(name), engine, cross_check, progress) for name in NAMES]
+    analyses = [analyse(case_study(name), engine, cross_check, progress) for name in PAPER]
     draw_figures(analyses, Path(figures))
     text = "\n".join(["# The paper and this reproduction\n", *(markdown(analysis) for analysis in analyses)])
     cases = {analysis.case.name: as_dict(analysis) for analysis in analyses}
