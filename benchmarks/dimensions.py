@@ -64,10 +64,10 @@ def share(F, X):
 
 def against_n():
     """One support call along (1, ..., 1) over a box, for n = 2, ..., 5 and random networks of one shape."""
-    print("\nOne direction, random stable A, random saturated network of 2 layers x 4 neurons x 2 channels, 5 draws:\n")
+    print("\nOne direction, random stable A, random saturated network of 2 layers x 6 neurons x 3 channels, 15 draws:\n")
     print("| n | median seconds | largest |\n| ---: | ---: | ---: |")
     for n in range(2, 6):
-        loops = [random_loop(n, seed) for seed in range(5)]
+        loops = [random_loop(n, seed) for seed in range(15)]
         seconds = [timed(mr.support, loop, loop.system.state_set, np.ones((1, n)), engine="milp")[1] for loop in loops]
         print(f"| {n} | {median(seconds):.2f} | {max(seconds):.2f} |", flush=True)
 
@@ -79,9 +79,9 @@ def random_loop(n, seed):
     A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
     layers, size = [], n
     for _ in range(2):
-        layers.append(mr.Layer(rng.normal(size=(8, size)) / np.sqrt(size), rng.normal(size=8), 2))
-        size = 4
-    network = mr.MaxoutNetwork(layers, rng.normal(size=(1, 4)), np.zeros(1)).saturate(-1, 1)
+        layers.append(mr.Layer(rng.normal(size=(18, size)) / np.sqrt(size), rng.normal(size=18), 3))
+        size = 6
+    network = mr.MaxoutNetwork(layers, rng.normal(size=(1, 6)), np.zeros(1)).saturate(-1, 1)
     everywhere = mr.Polytope(np.zeros((1, n + 1)), [1.0])
     D = mr.Polytope.box(np.full(n, -0.1), np.full(n, 0.1))
     mode = mr.Mode(A, rng.normal(size=(n, 1)), np.zeros(n), everywhere, D)

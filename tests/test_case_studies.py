@@ -205,6 +205,16 @@ def test_larger_bounds_dominate_dense_samples(larger):
         assert (found.bound - found.value <= 1e-6).all()
 
 
+def test_larger_supports_agree_with_scip(larger):
+    pytest.importorskip("cvxpy")
+    pytest.importorskip("pyscipopt")
+    _, terminal = load_sets(larger.name)
+    V = np.ones((1, larger.system.state_size))
+    found = mr.support(larger.loop, terminal, V, engine="milp")
+    scip = mr.support(larger.loop, terminal, V, engine="cvxpy", solver="SCIP")
+    np.testing.assert_allclose(found.value, scip.value, atol=1e-6)
+
+
 def test_four_tanks_sets_are_found_again():
     case = mr.case_study("four_tanks")
     safe = mr.safe_set(case.loop, case.safe_directions, engine="milp")
