@@ -64,7 +64,7 @@ def share(F, X):
 
 def against_n():
     """One support call along (1, ..., 1) over a box, for n = 2, ..., 5 and random networks of one shape."""
-    print("\nOne direction, random stable A, random saturated network of 2 layers x 6 neurons x 3 channels, 15 draws:\n")
+    print("\nOne direction, random stable A and saturated network of 2 layers x 6 neurons x 3 channels, 15 draws:\n")
     print("| n | median seconds | largest |\n| ---: | ---: | ---: |")
     for n in range(2, 6):
         loops = [random_loop(n, seed) for seed in range(15)]
