@@ -107,6 +107,10 @@ class Report:
         every = all(result.verdict == "proven" for result in self.results)
         return every and self.digest in ("as written", "ignored") and self.network is not False
 
+    def __getitem__(self, claim):
+        """The Result about a claim of `CLAIMS`."""
+        return next(one for one in self.results if one.claim == claim)
+
     def __str__(self):
         lines = [f"{one.claim:<13} {one.verdict:<12} {one.reason}" for one in self.results]
         lines.append(f"{'digest':<13} {self.digest}")
@@ -760,11 +764,10 @@ class Claims:
             raise Stopped
 
     def _missing(self, *names):
-        """None if these claims are proven, else what is to be said of one that needs them."""
-        for verdict in ("refuted", "not checked"):
-            for name in names:
-                if self.found[name].verdict == verdict:
-                    return verdict, f"{name} is {verdict}", None
+        """None if these claims are proven, else what is to be said of one that rests on them."""
+        for name in names:
+            if self.found[name].verdict != "proven":
+                return unchecked(f"rests on {name}, which is {self.found[name].verdict}")
         return None
 
     def _by_solver(self, k=None, j=None):

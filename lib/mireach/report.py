@@ -313,9 +313,9 @@ def _exactly(loop, certificate, centred, minimal, maximal, reach):
         return all((support(loop, F, G.H, engine="exact").bound <= G.h).all() for F, G in pairwise(sets))
 
     found = {
-        "F_max": certificate["safe_set"].verdict == "proven",
-        "R_1 to R_k": certificate["sequence"].verdict == "proven",
-        "terminal set": certificate["terminal_set"].verdict == "proven",
+        "F_max": certificate.report["safe_set"].verdict == "proven",
+        "R_1 to R_k": certificate.report["sequence"].verdict == "proven",
+        "terminal set": certificate.report["terminal_set"].verdict == "proven",
     }
     if centred is not None:
         found["terminal set about the equilibrium"] = holds_images([*centred.history, centred.set])
@@ -438,8 +438,8 @@ def _common_rows(analysis):
     yield (
         "Theorem 1, decided by a fraction",
         "-",
-        analysis.certificate["theorem_1"].verdict,
-        f"alpha = {analysis.certificate.alpha}; {analysis.certificate['theorem_1'].reason}",
+        analysis.certificate.report["theorem_1"].verdict,
+        f"alpha = {analysis.certificate.alpha}; {analysis.certificate.report['theorem_1'].reason}",
     )
     minimal = analysis.minimal
     where = "-" if minimal.set is None else f"k = {minimal.steps}"
