@@ -642,14 +642,14 @@ class Claims:
 
     def results(self):
         """One Result a claim, in the order of `CLAIMS`."""
-        for name, claim in self.certificate.claims.items():
+        for key, claim in self.certificate.claims.items():
             try:
-                found = getattr(self, name)(claim)
+                found = getattr(self, key)(claim)
             except Stopped:
                 found = unchecked(f"stopped after {self.seconds:g} s")
             if found[0] == "proven" and claim["verdict"] == "not proven":
                 found = unchecked("the certificate itself does not claim it")
-            self.found[name] = Result(name, *found)
+            self.found[key] = Result(key, *found)
         return tuple(self.found.values())
 
     def inputs(self, claim):
@@ -661,7 +661,8 @@ class Claims:
                 for x in corners:
                     if at(excess, x) > 0:
                         u = self.certificate.network(point(x))
-                        return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U", state(point(x)))
+                        by = about(dot(a, u) - b)
+                        return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U by {by}", state(point(x)))
         return proven(f"{CLAIMS['inputs']}: {len(self._pieces)} pieces")
 
     def safe_set(self, claim):
@@ -765,9 +766,9 @@ class Claims:
 
     def _missing(self, *names):
         """None if these claims are proven, else what is to be said of one that rests on them."""
-        for name in names:
-            if self.found[name].verdict != "proven":
-                return unchecked(f"rests on {name}, which is {self.found[name].verdict}")
+        for claim in names:
+            if self.found[claim].verdict != "proven":
+                return unchecked(f"rests on {claim}, which is {self.found[claim].verdict}")
         return None
 
     def _by_solver(self, k=None, j=None):
@@ -834,7 +835,7 @@ class Claims:
     def _beyond(self, k):
         """None if R_k lies in F_max, where the cells are."""
         x = self._outside(k, self.sets[0])
-        return x and refuted(f"x = {show(x)} lies in R_{k}, but not in F_max", state(x))
+        return x and refuted(f"x = {show(x)} lies in {name(k)}, but not in F_max", state(x))
 
     def _excess(self, a, b, cell):
         """The line that is positive where a (A x + B Phi(x) + p + d) > b for some d in D of the cell's mode."""
@@ -879,7 +880,8 @@ class Claims:
         after = self._replay(k, number, x, d)
         step = {"state": texts(x), "mode": number + 1, "disturbance": texts(d), "after": texts(after)}
         leads = f"mode {number + 1} and d = {show(d)} lead to {show(after)}"
-        return refuted(f"x = {show(x)} lies in R_{k}; {leads}, outside R_{j}", step)
+        outside = f"outside {name(j)} by {about(dot(a, after) - b)}"
+        return refuted(f"x = {show(x)} lies in {name(k)}; {leads}, {outside}", step)
 
     def _replay(self, k, number, x, d):
         """A x + B Phi(x) + p + d from the definition; None if x is not in R_k or not in the region of the mode."""
@@ -1007,6 +1009,11 @@ def largest(g, size):
 def texts(values):
     """Fractions as text, without rounding; None for one that would fill pages."""
     return [str(value) if value.denominator < 10**MOST_DIGITS else None for value in values]
+
+
+def name(k):
+    """What R_k is called."""
+    return f"R_{k}" if k else "F_max"
 
 
 def state(x):
