@@ -13,7 +13,8 @@ from mireach.case_studies import PAPER
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reproduce")
-    arguments = ["reproduce", "--quiet", "--no-cross-check", "--results", str(folder), "--figures", str(folder)]
+    places = [part for name in ("results", "figures", "certificates") for part in (f"--{name}", str(folder))]
+    arguments = ["reproduce", "--quiet", "--no-cross-check", *places]
     assert main(arguments) == 0
     return folder
 

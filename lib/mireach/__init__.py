@@ -1,5 +1,6 @@
 """mireach: robustly positively invariant sets of neural loops by mixed-integer reachability."""
 
+from . import certificate
 from .approximation import fit_pwa, prove_error
 from .case_studies import case_study
 from .errors import CorruptFileError, MireachError, SolverError, SolverStopped
@@ -35,6 +36,7 @@ __all__ = [
     "attractor",
     "box_directions",
     "case_study",
+    "certificate",
     "check_rpi",
     "contraction",
     "directions",

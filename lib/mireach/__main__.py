@@ -3,6 +3,7 @@
 import argparse
 import sys
 
+from . import checker
 from .case_studies import NAMES, PAPER
 from .errors import MireachError
 
@@ -17,6 +18,7 @@ def main(arguments=None):
     task = tasks.add_parser("reproduce", parents=[quiet], help="both case studies: figures, report, table")
     task.add_argument("--results", default="results", help="folder of report.json and report.md")
     task.add_argument("--figures", default="docs/figures", help="folder of the figures")
+    task.add_argument("--certificates", default="data", help="folder that gets CASE/certificate.json")
     task.add_argument("--engine", choices=["cells", "milp", "exact", "cvxpy"], help="default: cells")
     task.add_argument("--no-cross-check", action="store_true", help="leave out the comparison with the MILP")
     task.set_defaults(run=_reproduce)
@@ -36,6 +38,9 @@ def main(arguments=None):
     task.add_argument("--output", help="folder; default: data/CASE of the checkout")
     task.set_defaults(run=_seeds)
 
+    task = tasks.add_parser("verify", parents=[checker.arguments(add_help=False)], help="check a certificate")
+    task.set_defaults(run=checker.run)
+
     options = parser.parse_args(arguments)
     try:
         return options.run(options)
@@ -48,8 +53,10 @@ def _reproduce(options):
     from .report import reproduce
 
     check = None if options.no_cross_check else "milp"
-    print(reproduce(options.results, options.figures, options.engine, check, not options.quiet))
-    print(f"written: {options.results}/report.md, {options.results}/report.json, {options.figures}/")
+    places = options.results, options.figures, options.certificates
+    print(reproduce(*places, options.engine, check, not options.quiet))
+    written = f"{options.results}/report.md, {options.results}/report.json, {options.figures}/"
+    print(f"written: {written}, {options.certificates}/CASE/certificate.json")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 
@@ -9,6 +10,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from .case_studies import PAPER, CaseStudy, case_study, data_file
+from .certificate import Certificate, make
 from .files import write_json, write_whole
 from .invariance import (
     MinimalSet,
@@ -48,6 +50,10 @@ class Analysis:
         About the closed loop's equilibrium; None if it has none.
     minimal : MinimalSet
     maximal : MaximalSafeSet
+    certificate : Certificate
+        Of F_max, the terminal set about the origin, and the theorems.
+    exactly : dict of str to bool
+        Of every set, whether its claim is proven in exact arithmetic.
     tubes : list of arrays (N, steps + 1, n)
         Trajectories with disturbance (of the plant, where there is one), one array an initial state or draw.
     nominal : array (k, steps + 1, n)
@@ -69,6 +75,8 @@ class Analysis:
     centred: TerminalSet | None
     minimal: MinimalSet
     maximal: MaximalSafeSet
+    certificate: Certificate
+    exactly: dict
     tubes: list
     nominal: np.ndarray
     reach: list
@@ -78,8 +86,10 @@ class Analysis:
     seconds: dict
 
 
-def reproduce(results="results", figures="docs/figures", engine=None, cross_check="milp", progress=True):
-    """Analyse both cases, draw the figures, write the report.
+def reproduce(
+    results="results", figures="docs/figures", certificates="data", engine=None, cross_check="milp", progress=True
+):
+    """Analyse both cases, draw the figures, write the report and the certificates.
 
     Parameters
     ----------
@@ -87,6 +97,8 @@ def reproduce(results="results", figures="docs/figures", engine=None, cross_chec
         Folder of report.json and report.md.
     figures : str or Path
         Folder of the figures, as SVG and PNG.
+    certificates : str or Path
+        Folder that gets CASE/certificate.json.
     engine : str or None
         As in `support`.
     cross_check : str or None
@@ -108,6 +120,8 @@ def reproduce(results="results", figures="docs/figures", engine=None, cross_chec
 
     analyses = [analyse(case_study(name), engine, cross_check, progress) for name in PAPER]
     draw_figures(analyses, Path(figures))
+    for analysis in analyses:
+        analysis.certificate.save(Path(certificates) / analysis.case.name / "certificate.json")
     text = "\n".join(["# The paper and this reproduction\n", *(markdown(analysis) for analysis in analyses)])
     cases = {analysis.case.name: as_dict(analysis) for analysis in analyses}
     write_json(Path(results) / "report.json", {"format": FORMAT, "cases": cases})
@@ -130,10 +144,14 @@ def analyse(case, engine=None, cross_check="milp", progress=False):
         minimal = scaled_minimal_set(loop, case.directions, case.epsilon, safe=safe, engine=engine)
     with _timed(seconds, "maximal_safe_set"):
         maximal = maximal_safe_set(loop)
+    with _timed(seconds, "certificate"):
+        certificate = make(loop, safe, terminal, plant=case.plant)
     with _timed(seconds, "trajectories"):
         tubes, nominal = _simulate(case, safe, terminal.steps + SETTLING)
         point = Polytope(case.directions, case.directions @ case.starts[0])
-        reach = outer_reach(loop, point, case.directions, terminal.steps, engine)[1:]
+        reach = outer_reach(loop, point, case.directions, terminal.steps, engine)
+    with _timed(seconds, "exact_proofs"):
+        exactly = _exactly(loop, certificate, centred, minimal, maximal, reach)
     with _timed(seconds, "contraction"):
         growth = contraction(loop, terminal.set, terminal.centre, engine)
     bounded = None
@@ -145,7 +163,21 @@ def analyse(case, engine=None, cross_check="milp", progress=False):
         with _timed(seconds, "cross_check"):
             check = _cross_check(case, safe, terminal, engine, cross_check, progress)
     return Analysis(
-        case, safe, terminal, centred, minimal, maximal, tubes, nominal, reach, growth, bounded, check, seconds
+        case=case,
+        safe=safe,
+        terminal=terminal,
+        centred=centred,
+        minimal=minimal,
+        maximal=maximal,
+        certificate=certificate,
+        exactly=exactly,
+        tubes=tubes,
+        nominal=nominal,
+        reach=reach[1:],
+        contraction=growth,
+        bounded=bounded,
+        cross_check=check,
+        seconds=seconds,
     )
 
 
@@ -213,6 +245,12 @@ def as_dict(analysis):
             "reached_at": analysis.minimal.reached_at,
         },
         "maximal_safe_set": _maximal_dict(analysis.maximal),
+        "proven_exactly": analysis.exactly,
+        "claims": {
+            result.claim: {"verdict": result.verdict, "reason": result.reason}
+            for result in analysis.certificate.report.results
+        },
+        "exact_alpha": None if analysis.certificate.alpha is None else str(analysis.certificate.alpha),
         "trajectories": count_trajectories(analysis),
         "cross_check": analysis.cross_check,
         "paper": case.paper,
@@ -266,6 +304,26 @@ def _about_equilibrium(case, safe, engine):
     except ValueError:
         return None
     return terminal_set(case.loop, safe, case.directions, case.epsilon, centre, engine)
+
+
+def _exactly(loop, certificate, centred, minimal, maximal, reach):
+    """Of every set by name, whether its claim is proven in exact arithmetic."""
+
+    def holds_images(sets):
+        return all((support(loop, F, G.H, engine="exact").bound <= G.h).all() for F, G in pairwise(sets))
+
+    found = {
+        "F_max": certificate.report["safe_set"].verdict == "proven",
+        "R_1 to R_k": certificate.report["sequence"].verdict == "proven",
+        "terminal set": certificate.report["terminal_set"].verdict == "proven",
+    }
+    if centred is not None:
+        found["terminal set about the equilibrium"] = holds_images([*centred.history, centred.set])
+    if minimal.set is not None:
+        found["scaled minimal set"] = holds_images([minimal.set, minimal.set])
+    found["maximal safe set"] = maximal.verdict == "proven"
+    found["reachable sets of the first state"] = holds_images(reach)
+    return found
 
 
 def _simulate(case, safe, steps):
@@ -377,6 +435,12 @@ def _common_rows(analysis):
         f"1 + {analysis.contraction - 1:.2g}" if analysis.contraction > 1 else "1",
         "all that the proof of Theorem 1 uses of eq. StabCondFmin; above 1 the terminal set is stable",
     )
+    yield (
+        "Theorem 1, decided by a fraction",
+        "-",
+        analysis.certificate.report["theorem_1"].verdict,
+        f"alpha = {analysis.certificate.alpha}; {analysis.certificate.report['theorem_1'].reason}",
+    )
     minimal = analysis.minimal
     where = "-" if minimal.set is None else f"k = {minimal.steps}"
     reached = (
@@ -399,6 +463,8 @@ def _common_rows(analysis):
         f"{maximal.verdict} in rational arithmetic, {maximal.iterations} iterations; the true set has at most "
         f"{maximal.outer.area - area:.1g} more",
     )
+    for name, holds in analysis.exactly.items():
+        yield f"{name}: proven exactly", "-", "yes" if holds else "no", ""
     counts = count_trajectories(analysis)
     text = (
         "{inside_safe_set} of {simulated} stay in F_max, {entered_terminal_set} are in the terminal set from k-bar on"

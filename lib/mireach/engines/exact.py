@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..balls import flint
+from ..polytope import Polytope
 from . import cells as float_cells
 from .common import Support, checked_query, empty_support, replay
 
@@ -96,18 +97,24 @@ def support(loop, F, V, steps=1):
     if steps != 1:
         raise ValueError(f'the exact engine takes one step; got steps = {steps}; use engine="cells"')
     rows = [(binary(a), binary(b)) for a, b in zip(F.H.tolist(), F.h.tolist())]
-    spread, best = disturbances(loop), [None] * len(V)
-    directions = [binary(v) for v in V.tolist()]
-    for cell in cells(loop):
-        corners = _clip_all(cell.corners, rows)
-        for k, v in enumerate(directions):
-            for x in corners:
-                d = max(spread[cell.mode], key=lambda d, v=v: _dot(v, d))
-                value = _dot(v, cell.image(x)) + _dot(v, d)
-                if best[k] is None or value > best[k][0]:
-                    best[k] = (value, cell.mode, x, d)
-    if any(found is None for found in best):
-        return empty_support(len(V))
+    every, spread, parts = cells(loop), disturbances(loop), {}
+    heights, near, best = _heights(loop, V), _near(loop, F), []
+    for k, v in enumerate(map(binary, V.tolist())):
+        farthest = [max(corners, key=lambda d: _dot(v, d)) for corners in spread]
+        found = None
+        for j in near[np.argsort(-heights[near, k], kind="stable")].tolist():
+            if found is not None and heights[j, k] < _nearest(found[0]):  # nor do the cells that follow reach higher
+                break
+            if j not in parts:
+                parts[j] = _clip_all(every[j].corners, rows)
+            d = farthest[every[j].mode]
+            for x in parts[j]:
+                value = _dot(v, every[j].image(x)) + _dot(v, d)
+                if found is None or value > found[0]:
+                    found = (value, every[j].mode, x, d)
+        if found is None:
+            return empty_support(len(V))
+        best.append(found)
     value, bound = (np.array([rounded(found[0]) for found in best]) for rounded in (_nearest, _above))
     floats = [[np.array([_nearest(entry) for entry in pair]) for pair in found[2:]] for found in best]
     witness = tuple(replay(loop, x, [found[1]], [d]) for found, (x, d) in zip(best, floats))
@@ -196,6 +203,34 @@ def successor(loop, state, mode, disturbance):
     return _fractions([_dot(A[i], x) + _dot(B[i], u) + p[i] + d[i] for i in range(2)])
 
 
+def growth(C, before, h, centre):
+    """The largest alpha with c + alpha (R - c) in R_before, R = {x : C x <= h}, without rounding (eq. StabCondFmin).
+
+    Parameters
+    ----------
+    C : array (l, 2)
+        Rows of both sets, bounded; like the offsets these are the floats they are.
+    before, h : array (l,)
+        Offsets of R_before and R.
+    centre : array (2,)
+        c, decimals.
+
+    Returns
+    -------
+    Fraction or None
+        None if c is not inside R.
+    """
+    rows = [(binary(a), binary(b)) for a, b in zip(np.asarray(C).tolist(), h.tolist())]
+    corners, c = _bounded(Polytope(C, h), rows), decimal(list(centre))
+    shares = []
+    for (a, _), limit in zip(rows, before.tolist()):
+        size = max((_dot(a, x) for x in corners), default=_dot(a, c)) - _dot(a, c)
+        if size <= 0:
+            return None
+        shares.append((binary(limit) - _dot(a, c)) / size)
+    return _fractions([min(shares)])[0]
+
+
 # -- numbers ------------------------------------------------------------------------------------------
 
 
@@ -215,7 +250,7 @@ def decimal(value):
 
 
 def _fractions(pair):
-    """A pair of fmpq as Fractions of the standard library."""
+    """Several fmpq as Fractions of the standard library."""
     return tuple(Fraction(int(value.p), int(value.q)) for value in pair)
 
 
@@ -397,13 +432,19 @@ def cells(loop):
         If the loop has not two states, or Phi leaves U.
     """
     float_cells.cells(loop)  # its checks
-    found = []
+    found, X = [], _polygon(loop.system.state_set)
+    pieces = list(_affine_pieces(loop.network, X))
+    boxes = np.array([_box(corners) for corners, _, _ in pieces])
     for number, mode in enumerate(loop.system.modes):
         A, B, p = (decimal(getattr(mode, name).tolist()) for name in "ABp")
-        rows = list(zip(decimal(mode.region.H.tolist()), decimal(mode.region.h.tolist())))
+        rows = _decimal_rows(mode.region)
         of_x = [(a[:2], b) for a, b in rows if not any(a[2:])]
-        domain = _clip_all(_polygon(loop.system.state_set), of_x)
-        for corners, K, g in _affine_pieces(loop.network, domain) if domain else ():
+        domain = _clip_all(X, of_x)
+        for i in np.flatnonzero(_meeting(boxes, np.array(_box(domain)))) if domain else ():
+            corners, K, g = pieces[i]
+            corners = _clip_all(corners, of_x)
+            if min(len(corners), 3) < min(len(domain), 3):  # Phi is continuous: its neighbours in the mode hold it
+                continue
             for a, b in rows:
                 if any(a[2:]) and corners:
                     of_u = tuple(_dot(a[2:], [row[i] for row in K]) for i in range(2))
@@ -413,6 +454,32 @@ def cells(loop):
                 c = tuple(_dot(B[i], g) + p[i] for i in range(2))
                 found.append(ExactCell(corners, number, M, c))
     return tuple(found)
+
+
+def _heights(loop, V):
+    """Floats above v x+ for all x of each whole cell and all d, for the rows v of V: array (cells, k)."""
+    _, images, starts = _floats(loop)
+    modes = [cell.mode for cell in cells(loop)]
+    spread = np.array([mode.disturbance.support(V) for mode in loop.system.modes])[modes]
+    around = AROUND * (1 + np.abs(images).max(initial=0.0) + np.abs(spread).max()) * (1 + np.abs(V).sum(axis=1))
+    return np.maximum.reduceat(images @ V.T, starts) + spread + around
+
+
+def _near(loop, F):
+    """Indices of the cells that floats do not show to lie outside F."""
+    points, _, starts = _floats(loop)
+    around = AROUND * (1 + np.abs(points).max()) * (1 + np.abs(F.H).sum(axis=1) + np.abs(F.h))
+    return np.flatnonzero((np.minimum.reduceat(points @ F.H.T - F.h, starts) <= around).all(axis=1))
+
+
+@lru_cache(maxsize=32)
+def _floats(loop):
+    """The corners of all cells and M x + c in them as floats, (T, 2) each, and where each cell's begin (cells,)."""
+    corners, images = (
+        [[[_nearest(entry) for entry in pair] for pair in pairs] for pairs in found]
+        for found in zip(*((cell.corners, map(cell.image, cell.corners)) for cell in cells(loop)))
+    )
+    return np.concatenate(corners), np.concatenate(images), np.cumsum([0, *map(len, corners[:-1])])
 
 
 def disturbances(loop):
@@ -438,57 +505,63 @@ def _decimal_rows(P):
 
 def _polygon(P):
     """The corners of a bounded Polytope whose numbers are decimals."""
+    return _bounded(P, _decimal_rows(P))
+
+
+def _bounded(P, rows):
+    """The corners of a bounded Polytope whose rows are (a, b) without rounding."""
     lower, upper = P.bounding_box()
     (left, bottom), (right, top) = decimal((lower - 1).tolist()), decimal((upper + 1).tolist())
-    return _clip_all([(left, bottom), (right, bottom), (right, top), (left, top)], _decimal_rows(P))
+    return _clip_all([(left, bottom), (right, bottom), (right, top), (left, top)], rows)
 
 
 def _affine_pieces(network, domain):
     """Polygons that cover the domain, each with K (m pairs) and g (m numbers) of Phi = K x + g on it."""
-    one, none = flint().fmpq(1), flint().fmpq(0)
-    pieces = [(domain, [(one, none), (none, one)], [none, none])]
+    matrix = flint().fmpq_mat
+    pieces = [(domain, matrix(3, 3, [1, 0, 0, 0, 1, 0, 0, 0, 1]))]  # rows (K, g) of the last layer, below them 1
     for layer in network.hidden:
-        weight, bias = binary(layer.weight.tolist()), binary(layer.bias.tolist())
-        following = []
-        for corners, K, g in pieces:
-            channels = _affine(weight, bias, K, g)
+        weight, following = _with_bias(layer.weight, layer.bias), []
+        for corners, affine in pieces:
+            channels = (weight * affine).tolist()
             parts = [(corners, [])]
             for start in range(0, len(channels), layer.pool):
                 neuron = channels[start : start + layer.pool]
-                parts = [(part, [*won, neuron[j]]) for whole, won in parts for part, j in _by_winner(whole, neuron)]
-            following += [(part, [row for row, _ in won], [offset for _, offset in won]) for part, won in parts]
+                parts = [(part, [*won, *neuron[j]]) for whole, won in parts for part, j in _by_winner(whole, neuron)]
+            following += [(part, matrix(layer.width + 1, 3, [*won, 0, 0, 1])) for part, won in parts]
         pieces = following
-    weight, bias = binary(network.weight.tolist()), binary(network.bias.tolist())
-    for corners, K, g in pieces:
-        output = _affine(weight, bias, K, g)
-        yield corners, [row for row, _ in output], [offset for _, offset in output]
+    weight = _with_bias(network.weight, network.bias)
+    for corners, affine in pieces:
+        output = (weight * affine).tolist()
+        yield corners, [tuple(row[:2]) for row in output], [row[2] for row in output]
 
 
-def _affine(weight, bias, K, g):
-    """weight (K x + g) + bias, as a list of (pair, number), one a row."""
-    columns = ([row[0] for row in K], [row[1] for row in K])
-    return [((_dot(w, columns[0]), _dot(w, columns[1])), _dot(w, g) + b) for w, b in zip(weight, bias)]
+def _with_bias(weight, bias):
+    """(W, b) as an fmpq_mat."""
+    rows = np.column_stack([weight, bias])
+    return flint().fmpq_mat(*rows.shape, list(binary(rows.ravel())))
 
 
 def _by_winner(corners, channels):
-    """Split a polygon into the parts on which one of the channels (pair, number) is largest: list of (part, channel).
+    """Split a polygon into the parts on which one of the channels (k_1, k_2, g) is largest: list of (part, channel).
 
     Parts of lower dimension than the polygon are left out: Phi is continuous, and their neighbours hold them.
     """
-    values = [[_dot(row, x) + offset for x in corners] for row, offset in channels]
+    matrix = flint().fmpq_mat
+    points = matrix(len(corners), 3, [entry for x in corners for entry in (*x, 1)])
+    values = (matrix(channels) * points.transpose()).tolist()
     top = [max(column) for column in zip(*values)]
     for j, value in enumerate(values):
         if value == top:
             return [(corners, j)]
     found = []
-    for j, (row, offset) in enumerate(channels):
+    for j, channel in enumerate(channels):
         part = corners
-        for i, (other, other_offset) in enumerate(channels):
+        for i, other in enumerate(channels):
             if i == j or len(part) < min(len(corners), 3):
                 continue
-            a, b = (other[0] - row[0], other[1] - row[1]), offset - other_offset
-            part = _clip(part, a, b)
-            if i < j and all(_dot(a, x) == b for x in part):  # a tie on all of it: the first channel has it
+            *a, b = (entry - own for entry, own in zip(other, channel))
+            part = _clip(part, a, -b)
+            if i < j and all(_dot(a, x) == -b for x in part):  # a tie on all of it: the first channel has it
                 part = []
         if len(part) >= min(len(corners), 3):
             found.append((part, j))

@@ -1,0 +1,1072 @@
+"""A checker of certificates that trusts nobody: whole numbers, the standard library, nothing else of this package.
+
+    python3 run.py verify FILE        or, with nothing installed,        python3 lib/mireach/checker.py FILE
+
+A certificate (format mireach-certificate/1) is one JSON file:
+
+    system      modes (A, B, p, region of (x, u), disturbance), state_set X, input_set U; every set is {"H", "h"}
+    network     Phi, as in network.json
+    template    C, one row a direction
+    sets        offsets h of F_max = R_0, R_1, ..., R_k, the terminal set; each of them is {x : C x <= h}
+    claims      what is claimed, see `CLAIMS`, each with a "verdict"
+    plant       f of x+ = f(x, u), where the system approximates a plant: for every component of f a list of
+                {"coefficient", "powers"}, the powers in the order x, u
+    bounds      where the state has not two entries: {"solver", "offsets"}, bounds on R_1 of each set along C
+    digest      SHA-256 of everything else
+
+Numbers of the system, the plant and the claims are the decimals that are written; those of the network, the template
+and the sets are the floats that these decimals stand for.
+
+How a claim is proven. In the plane Phi is affine on convex pieces. A piece is a list of corners, in order around it;
+a corner (X, Y, W) stands for the point (X/W, Y/W), a line (a, b, c) for the half-plane a X + b Y + c W <= 0, all of
+them whole numbers, so that nothing is ever rounded. What is affine on a piece is a *form*, again (a, b, c), over a
+unit: its value is (a X + b Y + c W) / (unit W). Affine functions are largest in corners, which decides every claim
+about the image of a set. All sets are closed: pieces that are only an edge or a point count, and where regions meet,
+every one of their modes acts.
+"""
+
+import argparse
+import hashlib
+import json
+import re
+import sys
+import time
+from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
+from functools import cached_property
+from math import gcd, lcm
+from operator import mul
+from pathlib import Path
+
+FORMAT, NETWORK = "mireach-certificate/1", "mireach-network/1"
+CLAIMS = {
+    "inputs": "Phi(x) lies in U for every x in X",
+    "safe_set": "F_max lies in X, every state of it has a successor, and it is RPI",
+    "sequence": "every R_(k+1) contains the image of R_k",
+    "terminal_set": "R_k is RPI and reached from all of F_max within `steps` = k steps",
+    "criterion": "eq. TerminationFmin about `centre` with `epsilon`: `holds` or not",
+    "theorem_1": "the largest alpha with alpha R_k in R_(k-1), about `centre`, is `alpha`; above 1 R_k is `stable`",
+    "error_set": "f - f_PWA lies in D for every x in X and u in U",
+    "theorem_2": "the plant is ultimately bounded in the terminal set, uniformly in F_max",
+}
+OF_SEQUENCE, OF_PLANT = ("sequence", "terminal_set", "criterion", "theorem_1"), ("error_set", "theorem_2")
+VERDICTS = ("proven", "bounded", "not proven")  # what a certificate says itself; bounded: by a solver, not in the plane
+
+SECONDS = 600  # after which the rest is "not checked"
+MOST_BYTES = 20_000_000  # of a file
+MOST_ENTRIES = 2_000  # of one list
+MOST_DIGITS = 4_000  # of a fraction that is read or written
+MOST_BOXES = 20_000  # into which a region is split to bound the error of one mode
+SHORT = 12  # decimals at most of a witness that is not printed as fractions
+NUMERAL = re.compile(r"-?\d{1,40}(\.\d{1,40})?([eE][+-]?\d{1,3})?")
+FRACTION = re.compile(rf"-?\d{{1,{MOST_DIGITS}}}(/\d{{1,{MOST_DIGITS}}})?")
+
+
+class Malformed(ValueError):
+    """The file is no certificate."""
+
+
+class Stopped(Exception):
+    """The time is up."""
+
+
+class Numeral(str):
+    """A number as it is written."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was found about one claim.
+
+    `verdict` is "proven", "refuted" or "not checked"; `witness`, where there is one, a dict of fractions: "state",
+    and for a step "mode", "disturbance", "after".
+    """
+
+    claim: str
+    verdict: str
+    reason: str
+    witness: dict | None = None
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found about a certificate.
+
+    `digest` is "as written", "missing", "changed" or "ignored"; `network` says whether the certificate speaks of the
+    network that was asked about (None: nothing was asked).
+    """
+
+    results: tuple
+    digest: str
+    network: bool | None
+
+    @property
+    def proven(self):
+        """Whether every claim is proven, of the network that was asked about, and the digest is as written."""
+        every = all(result.verdict == "proven" for result in self.results)
+        return every and self.digest in ("as written", "ignored") and self.network is not False
+
+    def __getitem__(self, claim):
+        """The Result about a claim of `CLAIMS`."""
+        return next(one for one in self.results if one.claim == claim)
+
+    def __str__(self):
+        lines = [f"{one.claim:<13} {one.verdict:<12} {one.reason}" for one in self.results]
+        lines.append(f"{'digest':<13} {self.digest}")
+        if self.network is not None:
+            lines.append(
+                f"{'network':<13} {'the one asked about' if self.network else 'ANOTHER than the one asked about'}"
+            )
+        return "\n".join(lines)
+
+
+def verify(path, network=None, ignore_digest=False, seconds=SECONDS):
+    """Derive every claim of a certificate again.
+
+    Parameters
+    ----------
+    path : str or Path
+    network : str, Path or None
+        A network.json; the report then says whether the certificate speaks of it.
+    ignore_digest : bool
+        Whether to go on to the mathematics without comparing the digest.
+    seconds : float
+        After this time what is left is "not checked".
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    Malformed
+        If the file is no certificate; the message says what is missing, of another size, or no number.
+    OSError
+        If a file cannot be read.
+    """
+    return check(read(path), None if network is None else Network.of(read(network)), ignore_digest, seconds)
+
+
+def check(content, network=None, ignore_digest=True, seconds=SECONDS):
+    """`verify` for content that `parse` has read, and a Network."""
+    certificate = Certificate.of(content)
+    state = "ignored" if ignore_digest else compare_digest(content)
+    asked = None if network is None else network == certificate.network
+    if state == "changed":
+        reason = "the content is not what the digest was made of"
+        return Report(tuple(Result(name, "not checked", reason) for name in certificate.claims), state, asked)
+    return Report(Claims(certificate, seconds).results(), state, asked)
+
+
+# -- reading ------------------------------------------------------------------------------------------
+
+
+def read(path):
+    """The content of a JSON file as `parse` has it; Malformed if it is none, or too large."""
+    if Path(path).stat().st_size > MOST_BYTES:
+        raise Malformed(f"{path} has more than {MOST_BYTES} bytes")
+    return parse(Path(path).read_bytes())
+
+
+def parse(text):
+    """JSON with every number as a Numeral; Malformed if it is not plain JSON with numbers of reasonable size."""
+    try:
+        return json.loads(
+            text, parse_int=numeral, parse_float=numeral, parse_constant=numeral, object_pairs_hook=without_duplicates
+        )
+    except Malformed:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise Malformed(f"this is not JSON, or only a part of it: {error}") from error
+
+
+def numeral(text):
+    if not NUMERAL.fullmatch(text):
+        raise Malformed(f"{text[:50]} is no number of reasonable size")
+    return Numeral(text)
+
+
+def without_duplicates(pairs):
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise Malformed(f"the key {next(name for name in names if names.count(name) > 1)!r} stands there twice")
+    return found
+
+
+def digest(content):
+    """SHA-256 of everything but the digest, independent of the order of keys and of how numbers are written."""
+    return hashlib.sha256(canonical({key: content[key] for key in content if key != "digest"}).encode()).hexdigest()
+
+
+def canonical(value):
+    """One text for one content: keys sorted, numbers as fractions in lowest terms."""
+    if isinstance(value, dict):
+        return "{" + ",".join(f"{json.dumps(key)}:{canonical(value[key])}" for key in sorted(value)) + "}"
+    if isinstance(value, list):
+        return "[" + ",".join(map(canonical, value)) + "]"
+    return str(Fraction(value)) if isinstance(value, Numeral) else json.dumps(value)
+
+
+def compare_digest(content):
+    if "digest" not in content:
+        return "missing"
+    return "as written" if content["digest"] == digest(content) else "changed"
+
+
+def decimal(value, where):
+    """A number as the decimal that is written."""
+    if not isinstance(value, Numeral):
+        raise Malformed(f"{where}: {str(value)[:50]!r} is no number")
+    return Fraction(value)
+
+
+def binary(value, where):
+    """A number as the float that it stands for."""
+    if not isinstance(value, Numeral) or abs(float(value)) == float("inf"):
+        raise Malformed(f"{where}: {str(value)[:50]!r} is no finite float")
+    return Fraction(float(value))
+
+
+def fraction(value, where):
+    """Text of the form p/q."""
+    if not isinstance(value, str) or not FRACTION.fullmatch(value) or value.endswith("/0"):
+        raise Malformed(f"{where}: {str(value)[:50]!r} is no fraction")
+    return Fraction(value)
+
+
+def vector(value, number, where, size):
+    """A list of `size` numbers, each read by `number`."""
+    if not isinstance(value, list) or len(value) != size:
+        raise Malformed(f"{where} should be a list of {size}")
+    return tuple(number(entry, where) for entry in value)
+
+
+def matrix(value, number, where, columns, rows=None):
+    """A list of lists of `columns` numbers; any positive number of them unless `rows` is given."""
+    if not isinstance(value, list) or not 0 < len(value) <= MOST_ENTRIES or rows not in (None, len(value)):
+        raise Malformed(f"{where} should be a list of {rows or f'1 to {MOST_ENTRIES}'} rows")
+    return tuple(vector(row, number, where, columns) for row in value)
+
+
+def fields(value, where, names, optional=()):
+    """The values of these keys of a dict that has them, and no others but `optional` ones."""
+    if not isinstance(value, dict):
+        raise Malformed(f"{where} should have the keys {', '.join(names)}")
+    for name in names:
+        if name not in value:
+            raise Malformed(f"{where} lacks the key {name!r}")
+    for name in value:
+        if name not in (*names, *optional):
+            raise Malformed(f"{where} has the key {name[:50]!r}, of which nothing is known")
+    return [value[name] for name in names]
+
+
+# -- content ------------------------------------------------------------------------------------------
+
+
+def rows_of(value, dimension, where):
+    """The rows (a, b) of a set {x : a x <= b}."""
+    H, h = fields(value, where, ("H", "h"))
+    H = matrix(H, decimal, where, dimension)
+    return tuple(zip(H, vector(h, decimal, where, len(H))))
+
+
+@dataclass(frozen=True)
+class Mode:
+    """x+ = A x + B u + p + d wherever (x, u) lies in the region; region and disturbance are rows (a, b)."""
+
+    A: tuple
+    B: tuple
+    p: tuple
+    region: tuple
+    disturbance: tuple
+
+    @staticmethod
+    def of(value, n, m, where):
+        A, B, p, region, disturbance = fields(value, where, ("A", "B", "p", "region", "disturbance"))
+        return Mode(
+            matrix(A, decimal, f"A of {where}", n, n),
+            matrix(B, decimal, f"B of {where}", m, n),
+            vector(p, decimal, f"p of {where}", n),
+            rows_of(region, n + m, f"the region of {where}"),
+            rows_of(disturbance, n, f"the disturbance set of {where}"),
+        )
+
+
+@dataclass(frozen=True)
+class Network:
+    """Hidden layers (rows, pool) and rows of the output; a row is (w_1, ..., w_q, b)."""
+
+    hidden: tuple
+    output: tuple
+
+    @staticmethod
+    def of(value):
+        name, layers, output = fields(value, "the network", ("format", "hidden", "output"))
+        if name != NETWORK or not isinstance(layers, list):
+            raise Malformed(f"the network should have the format {NETWORK!r} and a list of hidden layers")
+        hidden, columns = [], None
+        for number, layer in enumerate(layers, start=1):
+            where = f"hidden layer {number}"
+            weight, bias, pool = fields(layer, where, ("weight", "bias", "pool"))
+            rows, pool = Network._rows(weight, bias, columns, where), decimal(pool, where)
+            if pool < 1 or len(rows) % pool:
+                raise Malformed(f"{where} has {len(rows)} rows, which do not divide into groups of {pool}")
+            hidden.append((rows, int(pool)))
+            columns = len(rows) // int(pool)
+        return Network(
+            tuple(hidden), Network._rows(*fields(output, "the output", ("weight", "bias")), columns, "the output")
+        )
+
+    @staticmethod
+    def _rows(weight, bias, columns, where):
+        if columns is None:  # the first layer says how many inputs there are
+            columns = len(weight[0]) if isinstance(weight, list) and weight and isinstance(weight[0], list) else 0
+        weight = matrix(weight, binary, where, columns)
+        return tuple((*row, b) for row, b in zip(weight, vector(bias, binary, where, len(weight))))
+
+    @property
+    def inputs(self):
+        return len((self.hidden[0][0] if self.hidden else self.output)[0]) - 1
+
+    def __call__(self, x):
+        """Phi(x) of fractions, from its definition."""
+        for rows, pool in self.hidden:
+            z = [dot(row, (*x, 1)) for row in rows]
+            x = [max(z[i : i + pool]) for i in range(0, len(z), pool)]
+        return tuple(dot(row, (*x, 1)) for row in self.output)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A certificate, read: numbers are fractions, sets are rows (a, b)."""
+
+    modes: tuple
+    state_set: tuple
+    input_set: tuple
+    network: Network
+    sets: tuple
+    claims: dict
+    plant: tuple | None
+    bounds: tuple | None
+
+    @staticmethod
+    def of(content):
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise Malformed(f"the file has not the format {FORMAT!r}")
+        keys = ("format", "system", "network", "template", "sets", "claims")
+        _, system, network, template, sets, claims = fields(
+            content, "the certificate", keys, ("digest", "plant", "bounds")
+        )
+        network = Network.of(network)
+        n, m = network.inputs, len(network.output)
+        modes, state_set, input_set = fields(system, "the system", ("modes", "state_set", "input_set"))
+        if not isinstance(modes, list) or not 0 < len(modes) <= MOST_ENTRIES or not n:
+            raise Malformed("the system should have a list of modes and at least one state")
+        C = matrix(template, binary, "the template", n)
+        sets = matrix(sets, binary, "sets", len(C))
+        names = ("inputs", "safe_set", *OF_SEQUENCE * (len(sets) > 1), *OF_PLANT * ("plant" in content))
+        return Certificate(
+            tuple(Mode.of(mode, n, m, f"mode {number}") for number, mode in enumerate(modes, start=1)),
+            rows_of(state_set, n, "the state set"),
+            rows_of(input_set, m, "the input set"),
+            network,
+            tuple(tuple(zip(C, h)) for h in sets),
+            {name: read_claim(name, claim, n) for name, claim in zip(names, fields(claims, "claims", names))},
+            read_plant(content["plant"], n, n + m) if "plant" in content else None,
+            read_bounds(content.get("bounds"), n, len(sets), len(C)),
+        )
+
+
+def read_claim(name, value, n):
+    """What a claim says, numbers as fractions."""
+    where = f"the claim {name!r}"
+    kinds = {
+        "steps": lambda v: decimal(v, where),
+        "epsilon": lambda v: decimal(v, where),
+        "centre": lambda v: vector(v, decimal, where, n),
+        "alpha": lambda v: None if v is None else fraction(v, where),
+        "holds": lambda v: v,
+        "stable": lambda v: v,
+    }
+    own = {"terminal_set": ("steps",), "criterion": ("epsilon", "centre", "holds")}
+    names = {**own, "theorem_1": ("alpha", "centre", "stable")}.get(name, ())
+    verdict, *values = fields(value, where, ("verdict", *names), ("reason", "witness"))
+    if verdict not in VERDICTS:
+        raise Malformed(f"{where} has a verdict that is none of {', '.join(VERDICTS)}")
+    found = {key: kinds[key](value) for key, value in zip(names, values)}
+    if not isinstance(found.get("holds", True), bool) or not isinstance(found.get("stable", True), bool):
+        raise Malformed(f"{where} should say true or false")
+    if found.get("epsilon", 1) <= 0:
+        raise Malformed(f"{where} needs a positive epsilon")
+    return {"verdict": verdict, **found}
+
+
+def read_plant(value, n, size):
+    """The components of f as {powers: coefficient}."""
+    (f,) = fields(value, "the plant", ("f",))
+    if not isinstance(f, list) or len(f) != n or not all(isinstance(terms, list) for terms in f):
+        raise Malformed(f"f should be {n} lists of terms")
+    components = []
+    for terms in f:
+        found = {}
+        for term in terms[: MOST_ENTRIES + 1]:
+            coefficient, powers = fields(term, "a term of f", ("coefficient", "powers"))
+            powers = vector(powers, decimal, "the powers of f", size)
+            if any(power.denominator > 1 or power < 0 for power in powers) or sum(powers) > 20 or powers in found:
+                raise Malformed(
+                    f"the powers {list(map(str, powers))} of f are not whole, too high, or stand there twice"
+                )
+            found[tuple(map(int, powers))] = decimal(coefficient, "f")
+        if len(found) > MOST_ENTRIES:
+            raise Malformed(f"a component of f has more than {MOST_ENTRIES} terms")
+        components.append(found)
+    return tuple(components)
+
+
+def read_bounds(value, n, count, rows):
+    """A solver's name and its bounds, one row a set; None in the plane, where nothing rests on them."""
+    if (n != 2) != (value is not None):
+        raise Malformed("bounds of a solver belong to systems whose state has not two entries, and only to them")
+    if value is None:
+        return None
+    solver, offsets = fields(value, "bounds", ("solver", "offsets"))
+    return str(solver)[:50], matrix(offsets, binary, "bounds", rows, count)
+
+
+# -- the plane ----------------------------------------------------------------------------------------
+
+
+def dot(a, x):
+    """a x of rows of fractions."""
+    return sum(map(mul, a, x))
+
+
+def whole(row):
+    """A row of fractions as whole numbers, and the number by which it was multiplied for that."""
+    unit = lcm(*(entry.denominator for entry in row))
+    return tuple(entry.numerator * (unit // entry.denominator) for entry in row), unit
+
+
+def half_plane(a, b):
+    """The line of {x : a x <= b}."""
+    return whole((*a, -b))[0]
+
+
+def point(corner):
+    """A corner as a pair of fractions."""
+    return Fraction(corner[0], corner[2]), Fraction(corner[1], corner[2])
+
+
+def at(line, corner):
+    """a X + b Y + c W: at most 0 in the half-plane of the line."""
+    return line[0] * corner[0] + line[1] * corner[1] + line[2] * corner[2]
+
+
+def crossing(x, y, before, after):
+    """The corner between x and y where a line vanishes whose values `before` at x and `after` at y differ in sign."""
+    before, after = abs(before), abs(after)
+    X, Y, W = (after * a + before * b for a, b in zip(x, y))
+    common = gcd(X, Y, W)
+    return X // common, Y // common, W // common
+
+
+def clip(corners, line):
+    """The part of a convex polygon, segment or point in the half-plane of a line; [] if there is none."""
+    values = [at(line, x) for x in corners]
+    if not values or max(values) <= 0:
+        return corners
+    kept = []
+    for i, (y, after) in enumerate(zip(corners, values)):
+        x, before = corners[i - 1], values[i - 1]
+        if before < 0 < after or after < 0 < before:
+            kept.append(crossing(x, y, before, after))
+        if after <= 0:
+            kept.append(y)
+    return list(dict.fromkeys(kept))  # a segment meets the line on its way there and on its way back
+
+
+def clip_all(corners, lines):
+    """The part of a polygon in all half-planes."""
+    for line in lines:
+        if not corners:
+            break
+        corners = clip(corners, line)
+    return corners
+
+
+def polygon(rows, where):
+    """The corners of {x : a x <= b for every row (a, b)}; Malformed if it is not bounded.
+
+    For whole a and b no coordinate of a corner exceeds 2 max|a| max|b|, by Cramer's rule: a square beyond that is cut.
+    """
+    lines = [half_plane(a, b) for a, b in rows]
+    half = 2 * max(max(abs(a), abs(b)) for a, b, _ in lines) * max(abs(c) for _, _, c in lines) + 1
+    corners = clip_all([(-half, -half, 1), (half, -half, 1), (half, half, 1), (-half, half, 1)], lines)
+    if any(max(abs(X), abs(Y)) == half * W for X, Y, W in corners):
+        raise Malformed(f"{where} is not bounded")
+    return corners
+
+
+def support(corners, a):
+    """max a x over a polygon."""
+    return max(dot(a, x) for x in map(point, corners))
+
+
+def middle(corners):
+    """A point inside a polygon."""
+    return tuple(sum(entry) / len(corners) for entry in zip(*map(point, corners)))
+
+
+def dimension(corners):
+    """0 for a point, 1 for a segment, 2 for more, -1 for nothing."""
+    return min(len(corners), 3) - 1
+
+
+def uncovered(corners, regions, clock):
+    """A part of a polygon that no region (a list of lines) covers, or [].
+
+    What closed regions leave of a polygon is open relative to it: it is empty, or of the dimension of the polygon.
+    """
+    bare = [corners]
+    for region in regions:
+        following = []
+        for part in bare:
+            clock()
+            for line in region:  # what lies beyond the first line, beyond the second but not the first, ...
+                if any(at(line, x) > 0 for x in part):
+                    following.append(clip(part, tuple(-entry for entry in line)))
+                    part = clip(part, line)
+                if dimension(part) < dimension(corners):
+                    break
+        bare = [part for part in following if dimension(part) == dimension(corners)]
+    return bare[0] if bare else []
+
+
+# -- the loop -----------------------------------------------------------------------------------------
+
+
+def over_one_unit(rows):
+    """Rows of fractions as rows of whole numbers over one unit: rows, unit."""
+    unit = lcm(*(entry.denominator for row in rows for entry in row))
+    return [tuple(entry.numerator * (unit // entry.denominator) for entry in row) for row in rows], unit
+
+
+def combine(row, forms, unit):
+    """The form w_1 f_1 + ... + w_q f_q + b of whole numbers (w, b) and forms over a unit."""
+    a, b, c = 0, 0, row[-1] * unit
+    for w, form in zip(row, forms):
+        if w:
+            a, b, c = a + w * form[0], b + w * form[1], c + w * form[2]
+    return a, b, c
+
+
+def winners(corners, channels, clock):
+    """Parts of a polygon that cover it, each with the largest of several forms on it.
+
+    Parts of lower dimension than the polygon are left out: Phi is continuous, and their neighbours hold them.
+    """
+    values = [[at(form, x) for x in corners] for form in channels]
+    largest = [max(column) for column in zip(*values)]
+    for form, own in zip(channels, values):
+        if own == largest:
+            return [(corners, form)]
+    found = []
+    for j, form in enumerate(channels):
+        clock()
+        part = corners
+        for i, other in enumerate(channels):
+            if i == j or dimension(part) < dimension(corners):
+                continue
+            ahead = tuple(b - a for a, b in zip(form, other))
+            part = clip(part, ahead)
+            if i < j and all(at(ahead, x) == 0 for x in part):  # a tie on all of it: the first of the two has it
+                part = []
+        if dimension(part) == dimension(corners):
+            found.append((part, form))
+    return found
+
+
+def affine_pieces(network, domain, clock):
+    """Polygons that cover the domain, each with the forms of Phi on it and their unit: list of triples."""
+    pieces = [(domain, [(1, 0, 0), (0, 1, 0)], 1)]
+    for fractions, pool in network.hidden:
+        rows, own = over_one_unit(fractions)
+        following = []
+        for corners, forms, unit in pieces:
+            channels = [combine(row, forms, unit) for row in rows]
+            parts = [(corners, [])]
+            for start in range(0, len(channels), pool):
+                neuron = channels[start : start + pool]
+                parts = [(new, [*won, form]) for old, won in parts for new, form in winners(old, neuron, clock)]
+            following += [(part, won, unit * own) for part, won in parts]
+        pieces = following
+    rows, own = over_one_unit(network.output)
+    return [(corners, [combine(row, forms, unit) for row in rows], unit * own) for corners, forms, unit in pieces]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A polygon on which mode number `mode` acts, with the forms of A x + B Phi(x) + p and their unit."""
+
+    corners: list
+    mode: int
+    after: list
+    unit: int
+
+
+# -- the claims ---------------------------------------------------------------------------------------
+
+
+def proven(reason):
+    return "proven", reason, None
+
+
+def refuted(reason, witness=None):
+    return "refuted", reason, witness
+
+
+def unchecked(reason):
+    return "not checked", reason, None
+
+
+class Claims:
+    """All claims of one certificate; the method with a claim's name decides it."""
+
+    def __init__(self, certificate, seconds):
+        self.certificate, self.seconds, self.end = certificate, seconds, time.monotonic() + seconds
+        self.sets, self.last, self.n = certificate.sets, len(certificate.sets) - 1, len(certificate.modes[0].A)
+        self.found = {}
+
+    def results(self):
+        """One Result a claim, in the order of `CLAIMS`."""
+        for key, claim in self.certificate.claims.items():
+            try:
+                found = getattr(self, key)(claim)
+            except Stopped:
+                found = unchecked(f"stopped after {self.seconds:g} s")
+            if found[0] == "proven" and claim["verdict"] == "not proven":
+                found = unchecked("the certificate itself does not claim it")
+            self.found[key] = Result(key, *found)
+        return tuple(self.found.values())
+
+    def inputs(self, claim):
+        if self.n != 2:
+            return self._by_solver()
+        for corners, forms, unit in self._pieces:
+            for a, b in self.certificate.input_set:
+                excess = combine(half_plane(a, b), forms, unit)
+                for x in corners:
+                    if at(excess, x) > 0:
+                        u = self.certificate.network(point(x))
+                        by = about(dot(a, u) - b)
+                        return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U by {by}", state(point(x)))
+        return proven(f"{CLAIMS['inputs']}: {len(self._pieces)} pieces")
+
+    def safe_set(self, claim):
+        if self.n != 2:
+            return self._by_solver(0, 0)
+        if not self._polygons[0]:
+            return refuted("F_max is empty")
+        outside = self._outside(0, self.certificate.state_set)
+        if outside:
+            return refuted(f"x = {show(outside)} lies in F_max, but not in X", state(outside))
+        cells, gap = self._cells_and_gap
+        if gap:
+            return refuted(f"x = {show(gap)} lies in F_max and has no successor: no region contains it", state(gap))
+        return self._leaves(0, 0) or proven(f"{CLAIMS['safe_set']}: {len(cells)} cells")
+
+    def sequence(self, claim):
+        if self.n != 2:
+            found = [self._by_solver(k, k + 1) for k in range(self.last)]
+            return next((one for one in found if one[0] == "refuted"), found[0])
+        for k in range(self.last):
+            found = self._beyond(k) or self._leaves(k, k + 1)
+            if found:
+                return found
+        return proven(f"{CLAIMS['sequence']}: {self.last} steps")
+
+    def terminal_set(self, claim):
+        if claim["steps"] != self.last:
+            return refuted(f"the sequence has {self.last} steps, not {claim['steps']}")
+        if self.n != 2:
+            return self._by_solver(self.last, self.last)
+        found = self._missing("safe_set", "sequence") or self._beyond(self.last) or self._leaves(self.last, self.last)
+        return found or proven(f"R_{self.last} is RPI and reached from all of F_max within {self.last} steps")
+
+    def criterion(self, claim):
+        """S = c + (R_k - c) / (1 + epsilon) lies in R_1-bar(S), the smallest set with the rows C around R_1(S)."""
+        if self.n != 2:
+            return self._by_solver()
+        if missing := self._missing("safe_set", "terminal_set"):
+            return missing
+        c, epsilon = claim["centre"], claim["epsilon"]
+        apart = [b - dot(a, c) for a, b in self.sets[-1]]
+        S = [(a, b - room * epsilon / (1 + epsilon)) for (a, b), room in zip(self.sets[-1], apart)]
+        corners = polygon(S, "S") if min(apart) >= 0 else []  # c lies in R_k
+        holds = bool(corners) and all(self._attains(S, a, support(corners, a)) for a, _ in S)
+        says = f"eq. TerminationFmin about {show(c)} with epsilon = {about(epsilon)} {'holds' if holds else 'fails'}"
+        return proven(says) if holds == claim["holds"] else refuted(says)
+
+    def theorem_1(self, claim):
+        """alpha = min over the rows (a, b) of R_(k-1) of (b - a c) / (h of R_k along a - a c)."""
+        c, R = claim["centre"], self._polygons[-1] if self.n == 2 else None
+        if R == []:
+            return refuted("the terminal set is empty")
+        sizes = [support(R, a) for a, _ in self.sets[-2]] if self.n == 2 else [b for _, b in self.sets[-1]]
+        apart = [(b - dot(a, c), size - dot(a, c)) for (a, b), size in zip(self.sets[-2], sizes)]
+        alpha = min(before / size for before, size in apart) if min(size for _, size in apart) > 0 else None
+        says = "there is no alpha, for c is not inside R_k" if alpha is None else f"alpha = {beside_one(alpha)}"
+        stable = alpha is not None and alpha > 1
+        if claim["alpha"] != alpha or claim["stable"] != stable:
+            return refuted(f"{says}; Theorem 1 {'applies' if stable else 'does not apply'}")
+        if self.n != 2:
+            return self._by_solver()
+        if not stable:
+            return proven(f"{says}, so that Theorem 1 does not apply at this k")
+        missing = self._missing("inputs", "safe_set", "sequence", "terminal_set")
+        return missing or proven(f"{says}: R_k is asymptotically stable with region of attraction F_max")
+
+    def error_set(self, claim):
+        """Each a (f - f_PWA) - b, (a, b) a row of D, is a polynomial nowhere positive in the region & X x U."""
+        certificate, boxes = self.certificate, 0
+        n, m = self.n, len(certificate.network.output)
+        limits = [((*a, *[0] * m), b) for a, b in certificate.state_set]
+        limits += [((*[0] * n, *a), b) for a, b in certificate.input_set]
+        for number, mode in enumerate(certificate.modes, start=1):
+            rows = [*mode.region, *limits]
+            box = bounding_box(rows)
+            if box is None:
+                return unchecked(f"single coordinates of the region of mode {number} have no limits")
+            for a, b in mode.disturbance:
+                z, used = positive_somewhere(error_along(a, b, mode, certificate.plant), box, rows, self._clock)
+                if z is not None:
+                    says = f"x = {show(z[:n])}, u = {show(z[n:])}: f - f_PWA is not in D of mode {number}"
+                    return refuted(says, {"state": texts(z[:n]), "input": texts(z[n:]), "mode": number})
+                boxes += used
+                if used > MOST_BOXES:
+                    return unchecked(f"the error of mode {number} needs more than {MOST_BOXES} boxes")
+        return proven(f"{CLAIMS['error_set']}: {len(certificate.modes)} modes, {boxes} boxes")
+
+    def theorem_2(self, claim):
+        if "terminal_set" not in self.found:
+            return unchecked("no terminal set is claimed")
+        if min(b for _, b in self.sets[-1]) <= 0:
+            return refuted("the origin is not inside the terminal set")
+        missing = self._missing("inputs", "safe_set", "sequence", "terminal_set", "error_set")
+        return missing or proven("the plant is ultimately bounded in R_k, uniformly in F_max")
+
+    # -- what they need --
+
+    def _clock(self):
+        if time.monotonic() > self.end:
+            raise Stopped
+
+    def _missing(self, *names):
+        """None if these claims are proven, else what is to be said of one that rests on them."""
+        for claim in names:
+            if self.found[claim].verdict != "proven":
+                return unchecked(f"rests on {claim}, which is {self.found[claim].verdict}")
+        return None
+
+    def _by_solver(self, k=None, j=None):
+        """What a solver's bounds say, of R_1(R_k) in R_j if these are given; never a proof."""
+        solver, offsets = self.certificate.bounds
+        for bound, (_, b) in zip(offsets[k], self.sets[j]) if k is not None else ():
+            if bound > b:
+                return refuted(f"the bounds of {solver} do not show that R_1(R_{k}) lies in R_{j}")
+        return unchecked(f"bound by {solver}, not checked exactly")
+
+    @cached_property
+    def _pieces(self):
+        X = polygon(self.certificate.state_set, "the state set")
+        if not X:
+            raise Malformed("the state set is empty")
+        return affine_pieces(self.certificate.network, X, self._clock)
+
+    @cached_property
+    def _polygons(self):
+        """The corners of every set."""
+        return [polygon(rows, f"R_{k}") for k, rows in enumerate(self.sets)]
+
+    @cached_property
+    def _disturbances(self):
+        """The corners of D of every mode, as points."""
+        found = []
+        for number, mode in enumerate(self.certificate.modes, start=1):
+            corners = polygon(mode.disturbance, f"the disturbance set of mode {number}")
+            if not corners:
+                raise Malformed(f"the disturbance set of mode {number} is empty")
+            found.append([point(d) for d in corners])
+        return found
+
+    @cached_property
+    def _cells_and_gap(self):
+        """The cells of the loop over F_max, and a state of F_max that lies in none of them, or None."""
+        F, cells, gap = [half_plane(a, b) for a, b in self.sets[0]], [], None
+        modes = self.certificate.modes
+        maps = [over_one_unit([(*A, *B, p) for A, B, p in zip(mode.A, mode.B, mode.p)]) for mode in modes]
+        regions = [[half_plane(a, b) for a, b in mode.region] for mode in modes]
+        for piece, forms, unit in self._pieces:
+            self._clock()
+            corners = clip_all(piece, F)
+            if not corners:
+                continue
+            z = [(unit, 0, 0), (0, unit, 0), *forms]  # the forms of (x, u)
+            lines = [[combine(row, z, unit) for row in region] for region in regions]
+            for number, (rows, own) in enumerate(maps):
+                part = clip_all(corners, lines[number])
+                if part:
+                    cells.append(Cell(part, number, [combine(row, z, unit) for row in rows], unit * own))
+            bare = uncovered(corners, lines, self._clock)
+            gap = gap or (middle(bare) if bare else None)
+        return cells, gap
+
+    def _outside(self, k, rows):
+        """A state of R_k that is not in {x : rows}, or None."""
+        for a, b in rows:
+            for x in map(point, self._polygons[k]):
+                if dot(a, x) > b:
+                    return x
+        return None
+
+    def _beyond(self, k):
+        """None if R_k lies in F_max, where the cells are."""
+        x = self._outside(k, self.sets[0])
+        return x and refuted(f"x = {show(x)} lies in {name(k)}, but not in F_max", state(x))
+
+    def _excess(self, a, b, cell):
+        """The line that is positive where a (A x + B Phi(x) + p + d) > b for some d in D of the cell's mode."""
+        row, scale = whole(a)
+        rest = (max(dot(a, d) for d in self._disturbances[cell.mode]) - b) * scale
+        x, y, w = (rest.denominator * dot(row, entries) for entries in zip(*cell.after))
+        return x, y, w + rest.numerator * cell.unit
+
+    def _leaves(self, k, j):
+        """None if the image of R_k lies in R_j."""
+        lines = [half_plane(a, b) for a, b in self.sets[k]]
+        for cell in self._cells_and_gap[0]:
+            self._clock()
+            corners = clip_all(cell.corners, lines)
+            for a, b in self.sets[j] if corners else ():
+                excess = self._excess(a, b, cell)
+                worst = max(corners, key=lambda x: Fraction(at(excess, x), x[2]))
+                if at(excess, worst) > 0:
+                    return self._step_out(k, j, a, b, cell.mode, point(worst))
+        return None
+
+    def _attains(self, S, a, level):
+        """Whether a x+ >= level for some x in {x : S} and some d."""
+        lines = [half_plane(*row) for row in S]
+        for cell in self._cells_and_gap[0]:
+            self._clock()
+            excess = self._excess(a, level, cell)
+            if any(at(excess, x) >= 0 for x in cell.corners):
+                if any(at(excess, x) >= 0 for x in clip_all(cell.corners, lines)):
+                    return True
+        return False
+
+    def _step_out(self, k, j, a, b, number, x):
+        """A step from x in R_k that leaves R_j, x moved to few digits if it still does so."""
+        d = max(self._disturbances[number], key=lambda d: dot(a, d))
+        for digits in range(1, SHORT + 1):
+            near = tuple(Fraction(round(entry * 10**digits), 10**digits) for entry in x)
+            after = self._replay(k, number, near, d)
+            if after is not None and dot(a, after) > b:
+                x = near
+                break
+        after = self._replay(k, number, x, d)
+        step = {"state": texts(x), "mode": number + 1, "disturbance": texts(d), "after": texts(after)}
+        leads = f"mode {number + 1} and d = {show(d)} lead to {show(after)}"
+        outside = f"outside {name(j)} by {about(dot(a, after) - b)}"
+        return refuted(f"x = {show(x)} lies in {name(k)}; {leads}, {outside}", step)
+
+    def _replay(self, k, number, x, d):
+        """A x + B Phi(x) + p + d from the definition; None if x is not in R_k or not in the region of the mode."""
+        mode, z = self.certificate.modes[number], (*x, *self.certificate.network(x))
+        if any(dot(a, x) > b for a, b in self.sets[k]) or any(dot(a, z) > b for a, b in mode.region):
+            return None
+        return tuple(dot((*A, *B), z) + p + e for A, B, p, e in zip(mode.A, mode.B, mode.p, d))
+
+
+# -- the error of an approximation --------------------------------------------------------------------
+
+
+def bounding_box(rows):
+    """[(low, high)] by those rows (a, b) that limit one coordinate alone; None if a limit is missing."""
+    low, high = [None] * len(rows[0][0]), [None] * len(rows[0][0])
+    for a, b in rows:
+        used = [i for i, entry in enumerate(a) if entry]
+        if len(used) == 1:
+            i, end = used[0], b / a[used[0]]
+            if a[i] > 0:
+                high[i] = end if high[i] is None else min(high[i], end)
+            else:
+                low[i] = end if low[i] is None else max(low[i], end)
+    return None if None in low or None in high else list(zip(low, high))
+
+
+def error_along(a, b, mode, f):
+    """a (f(z) - A x - B u - p) - b, z = (x, u), as a polynomial {powers: coefficient}."""
+    size = len(mode.A) + len(mode.B[0])
+    none, ones = (0,) * size, [tuple(int(i == j) for j in range(size)) for i in range(size)]
+    found = {none: -b}
+    for weight, component, A, B, p in zip(a, f, mode.A, mode.B, mode.p):
+        affine = {none: p, **dict(zip(ones, (*A, *B)))}
+        for sign, terms in ((1, component), (-1, affine)):
+            for powers, coefficient in terms.items():
+                found[powers] = found.get(powers, 0) + sign * weight * coefficient
+    return found
+
+
+def positive_somewhere(g, box, rows, clock):
+    """A point of {z in box : rows} in which a polynomial is positive, or None; and how many boxes that took.
+
+    Nothing is known if that is more than `MOST_BOXES`. Every box is moved and scaled to [-1, 1]^N, see `largest`.
+    """
+    boxes, used = [box], 0
+    while boxes and used <= MOST_BOXES:
+        clock()
+        box, used = boxes.pop(), used + 1
+        if any(low > high for low, high in box) or any(least(a, box) > b for a, b in rows):
+            continue
+        centre, radius = [(low + high) / 2 for low, high in box], [(high - low) / 2 for low, high in box]
+        bound, likely, bent = largest(centred(g, centre, radius, clock), len(box))
+        if bound <= 0:
+            continue
+        for t in ([0] * len(box), likely):
+            z = tuple(c + r * entry for c, r, entry in zip(centre, radius, t))
+            if value_at(g, z) > 0 and all(dot(a, z) <= b for a, b in rows):
+                return z, used
+        i = max(range(len(box)), key=lambda i: (bent[i], radius[i]))
+        for half in ((box[i][0], centre[i]), (centre[i], box[i][1])):
+            boxes.append([*box[:i], half, *box[i + 1 :]])
+    return None, used
+
+
+def least(a, box):
+    """min a z over a box."""
+    return sum(entry * (low if entry > 0 else high) for entry, (low, high) in zip(a, box))
+
+
+def value_at(g, z):
+    """g(z)."""
+    total = Fraction(0)
+    for powers, term in g.items():
+        for base, power in zip(z, powers):
+            term *= base**power
+        total += term
+    return total
+
+
+def centred(g, centre, radius, clock):
+    """g(centre + radius t) as a polynomial of t, one coordinate after the other by the binomial theorem."""
+    for i, (c, r) in enumerate(zip(centre, radius)):
+        moved = {}
+        for powers, factor in g.items():
+            clock()
+            top = powers[i]
+            for k in range(top + 1):
+                key = (*powers[:i], k, *powers[i + 1 :])
+                moved[key] = moved.get(key, 0) + factor * c ** (top - k) * r**k
+                factor = factor * (top - k) / (k + 1)
+        g = moved
+    return g
+
+
+def largest(g, size):
+    """A bound of a polynomial over [-1, 1]^N, a point where it is likely to be large, what each coordinate bends it.
+
+    The constant, plus the maximum of the linear and quadratic term of each coordinate, plus the size of all else.
+    """
+    bound, linear, square, bent = Fraction(0), [Fraction(0)] * size, [Fraction(0)] * size, [Fraction(0)] * size
+    for powers, coefficient in g.items():
+        used = [i for i in range(size) if powers[i]]
+        if not used:
+            bound += coefficient
+        elif sum(powers) == 1:
+            linear[used[0]] = coefficient
+        elif len(used) == 1 and powers[used[0]] == 2:
+            square[used[0]] = coefficient
+        else:
+            bound += max(coefficient, 0) if all(power % 2 == 0 for power in powers) else abs(coefficient)
+            for i in used:
+                bent[i] += abs(coefficient)
+    likely = []
+    for i, (b, a) in enumerate(zip(linear, square)):
+        peak = -b / (2 * a) if a < 0 and abs(b) < -2 * a else Fraction(1 if b >= 0 else -1)
+        bound += peak * (b + a * peak)
+        likely.append(peak)
+        bent[i] += abs(a)
+    return bound, likely, bent
+
+
+# -- words --------------------------------------------------------------------------------------------
+
+
+def texts(values):
+    """Fractions as text, without rounding; None for one that would fill pages."""
+    return [str(value) if value.denominator < 10**MOST_DIGITS else None for value in values]
+
+
+def name(k):
+    """What R_k is called."""
+    return f"R_{k}" if k else "F_max"
+
+
+def state(x):
+    """The witness that is a state alone."""
+    return {"state": texts(x)}
+
+
+def show(values):
+    """Fractions for a reader: as decimals where these are exact and short, else rounded, and marked so."""
+    found = []
+    for value in values:
+        digits = next((k for k in range(SHORT + 1) if (10**k) % value.denominator == 0), None)
+        short = digits is not None and abs(value) < 10**SHORT
+        found.append(format(Decimal(value.numerator) / value.denominator, "f") if short else f"~{about(value)}")
+    return f"({', '.join(found)})"
+
+
+def about(value, digits=6):
+    """A fraction rounded to so many digits."""
+    try:
+        return f"{float(value):.{digits}g}"
+    except OverflowError:
+        return "1e308 or more" if value > 0 else "-1e308 or less"
+
+
+def beside_one(alpha):
+    """alpha as 1 + what is beyond."""
+    return "1" if alpha == 1 else f"1 {'+' if alpha > 1 else '-'} {about(abs(alpha - 1))}"
+
+
+# -- the command --------------------------------------------------------------------------------------
+
+
+def arguments(**options):
+    """The parser of the command."""
+    parser = argparse.ArgumentParser(prog="verify", description=__doc__.split(":")[0], **options)
+    parser.add_argument("file", metavar="FILE", help="a certificate")
+    parser.add_argument("--network", metavar="NET.json", help="say whether the certificate speaks of this network")
+    parser.add_argument("--ignore-digest", action="store_true", help="go on to the mathematics without comparing it")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help=f"stop after this time; default: {SECONDS}")
+    return parser
+
+
+def run(options):
+    """Verify, print, and return the exit status: 0 if all is proven, 1 if not, 2 if the file is no certificate."""
+    try:
+        report = verify(options.file, options.network, options.ignore_digest, options.seconds)
+    except (Malformed, OSError) as error:
+        print(f"{options.file} is refused: {error}", file=sys.stderr)
+        return 2
+    print(report)
+    return 0 if report.proven else 1
+
+
+if __name__ == "__main__":
+    sys.exit(run(arguments().parse_args()))
