@@ -4,6 +4,7 @@ Prints Markdown tables, and draws docs/figures/growth.{svg,png}. Medians of seve
 """
 
 import sys
+from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -68,9 +69,9 @@ def networks():
     found = []
     for kind, layers, width, pool in SHAPES:
         network = random_network(kind, layers, width, pool)
-        build = seconds(lambda: cells.cells(mr.ClosedLoop(system, copy(network))), 3)
+        build = seconds(partial(build_anew, system, network), 3)
         loop = mr.ClosedLoop(system, network)
-        step = seconds(lambda: mr.support(loop, system.state_set, V), 20)
+        step = seconds(partial(mr.support, loop, system.state_set, V), 20)
         by_milp = milp_seconds(loop, system.state_set.scale(0.1), V[:1])
         count = len(cells.cells(loop))
         name = f"{kind} {layers} x {width}" + (f", pool {pool}" if kind == "maxout" else "")
@@ -80,9 +81,9 @@ def networks():
     return found
 
 
-def copy(network):
-    """The same network as another object, so that nothing is cached."""
-    return mr.MaxoutNetwork(network.hidden, network.weight, network.bias)
+def build_anew(system, network):
+    """The cells under a copy of the network, so that nothing is cached."""
+    return cells.cells(mr.ClosedLoop(system, mr.MaxoutNetwork(network.hidden, network.weight, network.bias)))
 
 
 def milp_seconds(loop, F, V, steps=1):
@@ -103,7 +104,7 @@ def steps():
         case = mr.case_study(name)
         F, V = mr.safe_set(case.loop, case.safe_directions).set, case.directions[:1]
         for k in range(1, most + 1):
-            by_cells = seconds(lambda: mr.support(case.loop, F, V, k), 1)
+            by_cells = seconds(partial(mr.support, case.loop, F, V, k), 1)
             by_milp = milp_seconds(case.loop, F, V, k)
             if np.isfinite(by_milp):
                 apart = mr.support(case.loop, F, V, k, engine="milp").bound - mr.support(case.loop, F, V, k).bound
