@@ -1,13 +1,14 @@
 """`reproduce`: report.json as fixed, every row of the table, the figures."""
 
 import json
+from fractions import Fraction
 from itertools import pairwise
 
 import pytest
 
 import mireach as mr
 from mireach.__main__ import main
-from mireach.case_studies import PAPER
+from mireach.case_studies import PAPER, data_file
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +67,20 @@ def test_reported_maximal_set_is_proven_and_holds_the_safe_set(report, name):
     assert mr.Region.of(mr.Polytope.from_dict(case["safe_set"])).is_subset(maximal, tol=1e-7)
 
 
+@pytest.mark.parametrize("name", PAPER)
+def test_every_set_is_proven_exactly_and_the_certificate_written_is_the_one_shipped(report, folder, name):
+    case = report["cases"][name]
+    assert len(case["proven_exactly"]) == 7 and all(case["proven_exactly"].values())
+    assert {claim["verdict"] for claim in case["claims"].values()} == {"proven"}
+    assert Fraction(case["exact_alpha"]) > 1 and float(Fraction(case["exact_alpha"])) == pytest.approx(case["alpha"])
+    written = folder / name / "certificate.json"
+    assert mr.certificate.verify(written, network=data_file(name, "network.json")).proven
+    claims, shipped = (
+        json.loads(path.read_text())["claims"] for path in (written, data_file(name, "certificate.json"))
+    )
+    assert claims.keys() == shipped.keys()
+
+
 def test_table_has_a_row_for_every_number_of_the_paper(folder):
     text = (folder / "report.md").read_text()
     for item in (
@@ -81,6 +96,8 @@ def test_table_has_a_row_for_every_number_of_the_paper(folder):
         "1 + 9e-07",
         "Theorem 2",
         "area of the maximal safe set",
+        "Theorem 1, decided by a fraction",
+        "terminal set: proven exactly",
     ):
         assert item in text
 
