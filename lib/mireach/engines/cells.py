@@ -246,12 +246,12 @@ def support(loop, F, V, steps=1):
             )
     if not pieces:
         return empty_support(len(V))
-    found = [_highest(every, piece, rows) for piece, _ in pieces]
-    value, top, cell = found[0] if steps == 1 else (np.array(part) for part in zip(*found))
+    value, top, cell = _highest(every, pieces[0][0], rows)
     end = np.zeros(len(V), int)
-    if steps > 1:
-        end = top.argmax(axis=0)
-        value, top, cell = (part[end, np.arange(len(V))] for part in (value, top, cell))
+    for number, (piece, _) in enumerate(pieces[1:], start=1):
+        reached, above, where = _highest(every, piece, rows)
+        better = above > top
+        value[better], top[better], end[better], cell[better] = reached[better], above[better], number, where[better]
     if not np.isfinite(value).all():
         return empty_support(len(V))
     witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
@@ -422,18 +422,18 @@ def _blunted(F, walls, size, decimal=False):
     only, tips = np.full(count, -1), []
     for r, s in pairs:
         first = _exact_row(F.H[r], F.h[r], decimal)
-        second = _exact_row(F.H[s], F.h[s], decimal) if s < count else _exact_row(*_wall(walls, s - count), True)
+        if s < count:
+            second, mode = _exact_row(F.H[s], F.h[s], decimal), -1
+        else:
+            second, mode = _exact_row(walls.H[s - count], walls.h[s - count], True), walls.mode[s - count]
         tip = _across(F.H[r], first, second)
         if tip is not None:
-            tips.append((*tip, walls.mode[s - count] if s >= count else -1))
+            tips.append((*tip, mode))
     if not tips:
         return F.H, F.h, only
+    # a Polytope, for the compiled loops are compiled for arrays like its own, which cannot be written to
     blunt = Polytope(np.vstack([F.H, [a for a, _, _ in tips]]), np.append(F.h, [b for _, b, _ in tips]))
     return blunt.H, blunt.h, np.append(only, [mode for _, _, mode in tips])
-
-
-def _wall(walls, i):
-    return walls.H[i], walls.h[i]
 
 
 def _exact_row(a, b, decimal):
@@ -474,8 +474,8 @@ def _images(every, F, loop, chain):
 
 def _witness(loop, every, F, v, piece, chain, cell):
     """A trajectory that attains the maximum along v: through the chain, to the part of `cell` in `piece`."""
-    part, _ = every.cells.take([cell]).restrict(piece)
-    points = part.points
+    part, index = every.cells.restrict(piece)
+    points = part[np.flatnonzero(index == cell)[0]]
     if chain:
         return _longer_witness(loop, every, F, v, [*chain, (points, cell)])
     mode = every.cells.mode[cell]
