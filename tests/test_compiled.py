@@ -181,10 +181,10 @@ def test_parts_are_those_of_qhull(seed):
 def test_only_tips_within_reach_are_sharp():
     H, far = readonly([[0.0, 1], [1e-3, -1], [0, -1], [1, 0]]), readonly([0.5, -0.5, 0.5, 3])
     none = readonly(np.zeros((0, 2))), readonly([])
-    assert sharp_pairs(H, far, *none, 6.0, 0.1).tolist() == [[0, 1]]  # in (0, 0.5)
-    assert sharp_pairs(H, far + np.array([0, 0.1, 0, 0]), *none, 6.0, 0.1).tolist() == []  # 100 away
-    assert sharp_pairs(H[[0]], far[[0]], H[[1]], far[[1]], 6.0, 0.1).tolist() == [[0, 1]]
-    assert sharp_pairs(H, far, *none, 6.0, 1e-4).tolist() == []
+    assert sharp_pairs(H, far, *none, 6.0, 1e-12, 0.1).tolist() == [[0, 1]]  # in (0, 0.5)
+    assert sharp_pairs(H, far + np.array([0, 0.1, 0, 0]), *none, 6.0, 1e-12, 0.1).tolist() == []  # 100 away
+    assert sharp_pairs(H[[0]], far[[0]], H[[1]], far[[1]], 6.0, 1e-12, 0.1).tolist() == [[0, 1]]
+    assert sharp_pairs(H, far, *none, 6.0, 1e-12, 1e-4).tolist() == []
 
 
 @pytest.mark.parametrize("seed", range(20))

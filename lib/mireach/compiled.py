@@ -423,7 +423,7 @@ def _lag(polygon, size, affine, base, channels, j):
 
 
 @njit(cache=True)
-def sharp_pairs(H, h, walls_H, walls_h, reach, sharp):
+def sharp_pairs(H, h, walls_H, walls_h, reach, parallel, sharp):
     """Pairs of half-planes whose strip between them narrows to a sharp tip, unless that is certainly out of reach.
 
     Parameters
@@ -433,8 +433,8 @@ def sharp_pairs(H, h, walls_H, walls_h, reach, sharp):
         Rows like them; pairs of two walls are left out.
     reach : float
         Tips farther than this from the origin do not matter.
-    sharp : float
-        Sine of the angle at the tip, at most.
+    parallel, sharp : float
+        Between which the sine of the angle at the tip lies.
 
     Returns
     -------
@@ -443,15 +443,12 @@ def sharp_pairs(H, h, walls_H, walls_h, reach, sharp):
     """
     rows, count = len(h), 0
     pairs = np.empty((4, 2), np.int64)
-    given, h = np.concatenate((H, walls_H)), np.concatenate((h, walls_h))
-    H, h = _unit_rows(given, h)
+    H, h = _unit_rows(np.concatenate((H, walls_H)), np.concatenate((h, walls_h)))
     for r in range(rows):
         for s in range(r + 1, len(h)):
             a, b, c, d = H[r, 0], H[r, 1], H[s, 0], H[s, 1]
             turn = abs(a * d - b * c)
-            if turn > sharp or a * c + b * d >= 0 or (a == 0 and c == 0) or (b == 0 and d == 0):
-                continue
-            if given[r, 0] == -given[s, 0] and given[r, 1] == -given[s, 1]:
+            if turn > sharp or turn <= parallel or a * c + b * d >= 0:
                 continue
             far = 2 * reach * turn + 1e-14 * (abs(h[r]) + abs(h[s]))
             if abs(h[r] * d - h[s] * b) <= far and abs(a * h[s] - c * h[r]) <= far:

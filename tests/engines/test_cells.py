@@ -278,6 +278,14 @@ def test_empty_set_and_set_outside_have_no_image():
         assert (found.value == -np.inf).all() and (found.bound == -np.inf).all() and set(found.witness) == {None}
 
 
+def test_a_point_whose_rows_are_rounded_is_a_point():
+    """Rows of a template that are opposite but for rounding; read exactly they leave nothing of the point."""
+    C, x = directions(8), np.array([-7.3, 8.52])
+    loop = affine_loop(0.5 * np.eye(2), limits=10.0)
+    found = support(loop, Polytope(C, C @ x), C)
+    np.testing.assert_allclose(found.value, C @ x / 2, atol=1e-12)
+
+
 # -- bad input ----------------------------------------------------------------------------------------
 
 

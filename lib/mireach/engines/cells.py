@@ -24,6 +24,7 @@ ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this, relative to t
 CORNER = 2.0**-50  # how far rounding moves a new corner off its edge, at most (relative to the size of X)
 SHAPED = 16  # cuts that a polygon of X and a region counts for; rounding moves its corners by no more than theirs
 CUTS = 64  # cuts by rows of F, one after the other, that the errors of a cell allow for
+PARALLEL = 4e-15  # rows of a smaller sine are opposite but for rounding, as those of a template are
 SHARP = 0.1  # tips of a smaller sine are cut off by a row of their own, for rounding moves them far
 MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall into
 
@@ -228,10 +229,11 @@ def support(loop, F, V, steps=1):
       Where two rows of F, or one of F and one of X or of a region, make a tip of a sine below `SHARP`, a row through
       the exact tip, in rational arithmetic, is added across it.
 
-    What remains: a mode whose boundary depends on u reaches as far as the rounding of u says, so for a row of F
-    that is parallel to the boundary within an angle w the bound is high by about 1e-14 / w. Sets that come within
-    1e-11 of each other count as touching. With `steps` > 1 each piece is widened by its error before it goes on:
-    the bound stays above the truth, and that error grows with the gain of the loop.
+    What remains: a mode whose boundary depends on u reaches as far as the rounding of u says, so for a row of F that
+    is parallel to the boundary within an angle w the bound is high by about 1e-14 / w. Sets that come within 1e-11 of
+    each other count as touching, and rows that are opposite to within 4e-15 as parallel. With `steps` > 1 each piece
+    is widened by its error before it goes on: the bound stays above the truth, and that error grows with the gain of
+    the loop.
     """
     V, steps = checked_query(loop, F, V, steps)
     every = dynamics(loop)
@@ -418,7 +420,7 @@ def _blunted(F, walls, size, decimal=False):
     Returns H, h and the mode (-1 for all) to which each row belongs. With `decimal` the numbers of F are decimals
     like those of the walls; else they are the floats they are.
     """
-    pairs, count = sharp_pairs(F.H, F.h, walls.H, walls.h, size, SHARP), len(F.h)
+    pairs, count = sharp_pairs(F.H, F.h, walls.H, walls.h, size, PARALLEL, SHARP), len(F.h)
     only, tips = np.full(count, -1), []
     for r, s in pairs:
         first = _exact_row(F.H[r], F.h[r], decimal)
@@ -426,9 +428,7 @@ def _blunted(F, walls, size, decimal=False):
             second, mode = _exact_row(F.H[s], F.h[s], decimal), -1
         else:
             second, mode = _exact_row(walls.H[s - count], walls.h[s - count], True), walls.mode[s - count]
-        tip = _across(F.H[r], first, second)
-        if tip is not None:
-            tips.append((*tip, mode))
+        tips.append((*_across(F.H[r], first, second), mode))
     if not tips:
         return F.H, F.h, only
     # a Polytope, for the compiled loops are compiled for arrays like its own, which cannot be written to
@@ -442,14 +442,12 @@ def _exact_row(a, b, decimal):
 
 
 def _across(normal, first, second):
-    """The half-plane a x <= b across the tip of two others, a being `normal` turned by a right angle; None if parallel.
+    """The half-plane a x <= b across the tip of two others, a being `normal` turned by a right angle.
 
     The tip is exact, b rounded up. Every point of the two lies in it: a is between their normals.
     """
     (p, q, r), (s, t, u) = first, second
     turn = p * t - q * s
-    if not turn:
-        return None
     a = np.array([-normal[1], normal[0]]) * (1 if turn > 0 else -1)
     x, y = (r * t - q * u) / turn, (p * u - r * s) / turn
     exact = Fraction(a[0]) * x + Fraction(a[1]) * y
