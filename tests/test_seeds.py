@@ -86,7 +86,8 @@ def test_analysing_a_study_again_changes_no_other_column(tmp_path, monkeypatch):
     said = seeds.reanalyse("pwa", jobs=1, folder=tmp_path, progress=False)
     (found,) = load_rows(tmp_path / "seeds.csv")
     assert found.maximal_area == pytest.approx(row.maximal_area) and found.area_ratio == pytest.approx(row.area_ratio)
-    new = {"maximal_area": 0.0, "area_ratio": 0.0, "maximal_seconds": 0.0}
+    assert found.safe_area == pytest.approx(row.safe_area)
+    new = {"safe_area": 0.0, "maximal_area": 0.0, "area_ratio": 0.0, "maximal_seconds": 0.0}
     assert same(replace(found, **new), replace(row, **new)) and "1 of 1" in said
 
 
