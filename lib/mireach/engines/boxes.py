@@ -247,10 +247,7 @@ def _coordinates(boxes, columns):
 def _upper(weight, bias, values):
     """Affine functions (r, B, D + 1) above weight values + bias."""
     up, down = np.maximum(weight, 0), np.minimum(weight, 0)
-    shape = values.low.shape
-    found = (up @ values.high.reshape(len(values.high), -1) + down @ values.low.reshape(len(values.low), -1)).reshape(
-        len(weight), *shape[1:]
-    )
+    found = np.tensordot(up, values.high, 1) + np.tensordot(down, values.low, 1)
     found[:, :, -1] += np.asarray(bias)[:, None]
     return found
 
@@ -287,8 +284,8 @@ def _bound_layer(layer, boxes, values, doubt):
     the last is at most the chord u (z_j - z_r - l) / (u - l), or else the largest u stands for them all.
     """
     w, p, B = layer.width, layer.pool, len(boxes)
-    W, b = layer.weight.reshape(w, p, -1), layer.bias.reshape(w, p)
-    apart = (W[:, :, None] - W[:, None]).reshape(w * p * p, -1)
+    W, b = layer.weight.reshape(w, p, layer.weight.shape[1]), layer.bias.reshape(w, p)
+    apart = (W[:, :, None] - W[:, None]).reshape(w * p * p, W.shape[2])
     apart_bias = (b[:, :, None] - b[:, None]).reshape(-1)
     above = _upper(apart, apart_bias, values)
     ahead = _highest(boxes, above, apart, apart_bias, values).reshape(w, p, p, B)
@@ -299,7 +296,7 @@ def _bound_layer(layer, boxes, values, doubt):
                 alive[:, i] &= ~(alive[:, j] & (ahead[:, i, j] <= 0))
 
     z = _affine(boxes, layer.weight, layer.bias, values)
-    low, high = z.low.reshape(w, p, B, -1), z.high.reshape(w, p, B, -1)
+    low, high = (part.reshape(w, p, *part.shape[1:]) for part in (z.low, z.high))
     guess = np.where(alive, _at_middle(boxes, low) + _at_middle(boxes, high), -np.inf).argmax(axis=1)  # the r above
     neuron, box = np.arange(w)[:, None], np.arange(B)[None]
     low, high = low[neuron, guess, box], high[neuron, guess, box]
@@ -310,7 +307,7 @@ def _bound_layer(layer, boxes, values, doubt):
     if open_.any():
         l = -ahead[neuron[:, None], guess[:, None], rows, box[None]]  # noqa: E741 - as in the docstring
         slope = np.where(u > 0, u / np.where(u > 0, u - l, 1), 0)
-        rise = above.reshape(w, p, p, B, -1)[neuron[:, None], rows, guess[:, None], box[None]]
+        rise = above.reshape(w, p, p, *above.shape[1:])[neuron[:, None], rows, guess[:, None], box[None]]
         doubt += np.einsum("wpbd->bd", np.abs(rise[..., :-1]) * (u > 0)[..., None]) * boxes.reach
         chord = slope[..., None] * rise
         chord[..., -1] -= slope * l

@@ -29,7 +29,8 @@ MARGIN = (
 )
 DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
 INPUT_TOLERANCE = 1e-7  # how far Phi may leave U, for rounding (relative to 1 + the size of the limit)
-FEW = 8  # binaries of a box that is not split further
+FEW = 8  # binaries a step of a box that is not split further
+MANY = 40  # boxes solved for one direction, after which one model of all of F settles it
 NARROW = 1e-4  # a box is not split along a side shorter than this (relative to 1 + where it is)
 MOST_BOXES = 20_000  # looked at for one set; what is then left has more binaries
 AT_ONCE = 1024  # boxes that are bounded together: what they hold in memory
@@ -153,9 +154,8 @@ class _Ask:
         """Bounds (k,) up to which nothing more has to be known, given attained values."""
         return np.maximum(_above(value, self.gap), cutoff)
 
-    def model(self, box, known, binaries):
+    def model(self, bounds, box, known):
         """The MILP on one box, or None."""
-        bounds = "interval" if binaries <= FEW else self.bounds
         if self.inputs:
             return build_inputs(self.loop, self.F, bounds, box, known)
         return build(self.loop, self.F, self.steps, bounds, "whole", box, known)
@@ -217,7 +217,7 @@ def _split(ask, cutoff, jobs):
         binaries, keep = found.binaries, still.any(axis=1)
         wide = boxes.reach > NARROW * (1 + boxes.size)
         stop = looked > MOST_BOXES or perf_counter() - begin > budget
-        leaf = keep & (stop | (binaries <= FEW) | ~wide.any(axis=1))
+        leaf = keep & (stop | (binaries <= FEW * ask.steps) | ~wide.any(axis=1))
         left.append((boxes.take(leaf), np.where(still, upper, -np.inf)[leaf]))
         on = keep & ~leaf
         halves = boxes.take(on).split(np.where(wide, found.doubt, -1)[on].argmax(axis=1), SAFETY)
@@ -248,10 +248,18 @@ class _Leaves:
         self.found = bound_loop(ask.loop, boxes, ask.steps)
         self.binaries = self.found.binaries
 
+    def model(self, index):
+        """The model on one box, of all of F for None; None if there is nothing."""
+        if index is None:
+            box = root_box(self.ask.loop, self.ask.F, self.ask.steps)
+            return self.ask.model(self.ask.bounds, box, bound_loop(self.ask.loop, box, self.ask.steps).at(0))
+        bounds = "interval" if self.binaries[index] <= FEW * self.ask.steps else self.ask.bounds
+        return self.ask.model(bounds, self.boxes.take([index]), self.found.at(index))
+
     def settle(self, row, answer, cutoff, models):
         """Solve on one box after another, the most promising first, until the others cannot be better."""
         begin, upper = perf_counter(), self.upper[:, row]
-        for index in np.argsort(-upper, kind="stable"):
+        for count, index in enumerate(np.argsort(-upper, kind="stable")):
             if upper[index] <= self.ask.enough(answer.value, cutoff):
                 answer.bound = max(answer.bound, upper[index])
                 break
@@ -259,10 +267,13 @@ class _Leaves:
             if remaining is not None and remaining <= 0:
                 answer.finished, answer.bound = False, max(answer.bound, upper[index])
                 break
-            if index not in models:
-                models[index] = self.ask.model(self.boxes.take([index]), self.found.at(index), self.binaries[index])
-            if models[index] is not None:
-                _ask_solver(self.ask, models[index], answer, remaining, upper[index])
+            chosen = index if count < MANY else None
+            if chosen not in models:
+                models[chosen] = self.model(chosen)
+            if models[chosen] is not None:
+                _ask_solver(self.ask, models[chosen], answer, remaining, upper[index])
+            if chosen is None:
+                break
         answer.bound = max(answer.bound, answer.value)
 
 
@@ -273,45 +284,53 @@ class _Simulation:
         self.ask, self.answers, self.rng = ask, answers, np.random.default_rng(0)
         n = ask.loop.system.state_size
         self.modes = ask.loop.system.modes
+        self.before = range(ask.steps - 1)  # the steps whose disturbance has to be chosen
         self.extreme = [_extreme_points(mode.disturbance, n) for mode in self.modes] if ask.steps > 1 else None
 
     def improve(self, rounds=12):
-        """Try random states of F, then states ever closer to the best ones."""
+        """Try random states of F, then states and disturbances ever closer to the best ones."""
         F, n = self.ask.F, self.ask.loop.system.state_size
-        across = self.ask.V[:0] if self.ask.inputs else self.ask.V
+        across = np.zeros((0, n)) if self.ask.inputs else self.ask.V
         corners = [F.farthest(v) for v in np.vstack([np.eye(n), -np.eye(n), across])]
         corners = np.array([corner for corner in corners if corner is not None])
         states = self.rng.dirichlet(np.full(len(corners), 0.5), SAMPLES) @ corners
         self.try_all(np.vstack([corners, states]))
         for shrink in 0.6 ** np.arange(1, rounds + 1):
-            best = np.array([answer.path[0] for answer in self.answers if answer.path is not None])
-            if not len(best):
+            paths = [answer.path for answer in self.answers if answer.path is not None]
+            if not paths:
                 return
             towards = np.vstack([corners, states[self.rng.integers(len(states), size=8)]])
-            self.try_all(((1 - shrink) * best[:, None] + shrink * towards).reshape(-1, n))
+            best = np.array([path[0] for path in paths])
+            x = ((1 - shrink) * best[:, None] + shrink * towards).reshape(-1, n)
+            self.try_all(x, [np.repeat([path[2][j] for path in paths], len(towards), axis=0) for j in self.before])
 
     def look_at(self, w):
         """Try the states x(0) of points w (N, D)."""
         x = w[:, : self.ask.loop.system.state_size]
         self.try_all(x[self.ask.F.contains(x)])
 
-    def try_all(self, x):
-        """Simulate from states x (N, n)."""
+    def try_all(self, x, disturbances=None):
+        """Simulate from states x (N, n); of given disturbances (k - 1 arrays (N, n)) one in four is drawn anew."""
         ask, system = self.ask, self.ask.loop.system
         if ask.inputs:
             self._offer(ask.loop.network(x) @ ask.V.T, lambda i, row: (x[i], [], []))
             return
-        start, modes, disturbances = x, [], []
-        for _ in range(ask.steps - 1):
+        alive, start, modes, drawn = np.arange(len(x)), x, [], []
+        for j in self.before:
             u = ask.loop.network(x)
             inside = system.violation(x, u) <= 0
             chosen = np.where(inside, self.rng.random(inside.shape), -1).argmax(axis=1)
             d = np.array([self.extreme[i][self.rng.integers(len(self.extreme[i]))] for i in chosen]).reshape(x.shape)
+            if disturbances is not None:
+                given = disturbances[j][alive]
+                keep = self.rng.random(len(x)) < 0.75
+                keep &= [self.modes[i].disturbance.contains(one) for i, one in zip(chosen, given)]
+                d = np.where(keep[:, None], given, d)
             after = system.successor(x, u, chosen) + d
             kept = inside.any(axis=1) & system.state_set.contains(after)
-            x, start = after[kept], start[kept]
+            x, start, alive = after[kept], start[kept], alive[kept]
             modes = [before[kept] for before in modes] + [chosen[kept]]
-            disturbances = [before[kept] for before in disturbances] + [d[kept]]
+            drawn = [before[kept] for before in drawn] + [d[kept]]
         u = ask.loop.network(x)
         inside = system.violation(x, u) <= 0
         A, B, p = system.maps
@@ -320,7 +339,7 @@ class _Simulation:
         last = values.argmax(axis=1)
         self._offer(
             values.max(axis=1),
-            lambda i, row: (start[i], [*(m[i] for m in modes), last[i, row]], [d[i] for d in disturbances]),
+            lambda i, row: (start[i], [*(m[i] for m in modes), last[i, row]], [d[i] for d in drawn]),
         )
 
     def _offer(self, values, path):
