@@ -184,7 +184,9 @@ class LinearProgram:
             "mip_feasibility_tolerance": MIP_TOLERANCE,
             "mip_heuristic_run_feasibility_jump": False,  # two thirds of the time on a model with few binaries
             "mip_max_nodes": highspy.kHighsIInf if nodes is None else nodes,
-            "time_limit": np.inf if time_limit is None else self.highs.getRunTime() + time_limit,  # of all runs together
+            "time_limit": np.inf
+            if time_limit is None
+            else self.highs.getRunTime() + time_limit,  # of all runs together
         }.items():
             self.highs.setOptionValue(name, setting)
         if start is not None:

@@ -395,7 +395,9 @@ def _add_paper_network(lp, network, x):
     q = Affine.columns(x)
     for layer in network.hidden:
         z = q.map(layer.weight, layer.bias)
-        low, high = (ends.reshape(layer.width, layer.pool) for ends in (z.least(lp, "interval"), z.most(lp, "interval")))
+        low, high = (
+            ends.reshape(layer.width, layer.pool) for ends in (z.least(lp, "interval"), z.most(lp, "interval"))
+        )
         M = (high.max(axis=1) - low.min(axis=1)).max()  # the paper's b-bar of the layer
         columns = lp.add_columns(low.max(axis=1), high.max(axis=1))
         deltas = lp.add_columns(np.zeros(len(z.constant)), np.ones(len(z.constant)))
