@@ -1,4 +1,4 @@
-"""The MILP against other solvers, side by side, as a Markdown table: called by run.py bench, or python benchmarks/peers.py
+"""The MILP against other solvers, side by side, as a Markdown table: python benchmarks/peers.py, or run.py bench
 
 Every peer solves the paper's formulation (`milp.build(..., formulation="paper")`), the same matrix for all, with gaps
 and tolerances like this package's. Peers are installed here and nowhere else, into a folder of their own; one that
@@ -61,7 +61,7 @@ def available(package):
 
 
 def compare(name, peers, count, across):
-    """One case: the sets of the safe set's and the terminal set's sequences, cells and MILP on all, peers on a sample."""
+    """One case: cells and MILP on all sets of the safe set's and the terminal set's sequences, peers on a sample."""
     case = mr.case_study(name)
     safe = mr.safe_set(case.loop, case.safe_directions)
     terminal = mr.terminal_set(case.loop, safe, case.directions, case.epsilon)

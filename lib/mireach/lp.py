@@ -42,7 +42,7 @@ class IntegerOptimum:
     Attributes
     ----------
     bound : float
-        The dual bound of the solver, to within its tolerances: no point exceeds it by more. -inf if no point satisfies the constraints.
+        The dual bound of the solver: no point exceeds it by more than its tolerances. -inf if there is no point.
     point : array (columns,) or None
         The best that was found.
     finished : bool

@@ -355,7 +355,7 @@ def _add_disturbance(lp, modes, gamma, d):
 
 
 def _paper(loop, F, box, steps):
-    """The paper's plain formulation over x(0) in F: every binary, one big-M a layer and one for the plant, by intervals."""
+    """The paper's plain formulation over x(0) in F: all binaries, one big-M a layer and one for the plant."""
     modes, X, n, lp = loop.system.modes, loop.system.state_set, loop.system.state_size, LinearProgram()
     x = lp.add_columns(box.lower[0, :n], box.upper[0, :n])
     lp.add_rows(x, F.H, upper=F.h)

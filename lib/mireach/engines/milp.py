@@ -17,7 +17,7 @@ from ..errors import SolverError, SolverStopped
 from ..loop import require_inputs
 from ..lp import MIP_TOLERANCE
 from .bounds import METHODS, SAFETY
-from .boxes import Boxes, bound_loop
+from .boxes import ROUNDING, Boxes, bound_loop
 from .common import Support, checked_query, empty_support, replay
 from .formulation import Model, build, build_inputs, root_box
 
@@ -285,14 +285,17 @@ class _Simulation:
         n = ask.loop.system.state_size
         self.modes = ask.loop.system.modes
         self.before = range(ask.steps - 1)  # the steps whose disturbance has to be chosen
-        self.extreme = [_extreme_points(mode.disturbance, n) for mode in self.modes] if ask.steps > 1 else None
+        self.extreme = (
+            [_extreme_points(mode.disturbance, np.vstack([np.eye(n), -np.eye(n)])) for mode in self.modes]
+            if ask.steps > 1
+            else None
+        )
 
     def improve(self, rounds=12):
         """Try random states of F, then states and disturbances ever closer to the best ones."""
         F, n = self.ask.F, self.ask.loop.system.state_size
         across = np.zeros((0, n)) if self.ask.inputs else self.ask.V
-        corners = [F.farthest(v) for v in np.vstack([np.eye(n), -np.eye(n), across])]
-        corners = np.array([corner for corner in corners if corner is not None])
+        corners = _extreme_points(F, np.vstack([np.eye(n), -np.eye(n), across]))
         states = self.rng.dirichlet(np.full(len(corners), 0.5), SAMPLES) @ corners
         self.try_all(np.vstack([corners, states]))
         for shrink in 0.6 ** np.arange(1, rounds + 1):
@@ -349,9 +352,14 @@ class _Simulation:
                 answer.offer(values[i, row], path(i, row))
 
 
-def _extreme_points(D, n):
-    """Some extreme points of a polytope: (e, n)."""
-    return np.array([D.farthest(v) for v in np.vstack([np.eye(n), -np.eye(n)])])
+def _extreme_points(P, V):
+    """Points of a polytope that are farthest along the rows of V: (e, n).
+
+    An LP's tolerance can lead far beyond the tip of a needle: such points are left out, unless there are no others.
+    """
+    points = np.array([P.farthest(v) for v in V])
+    excess = (points @ P.H.T - P.h).max(axis=1)
+    return points[excess <= max(ROUNDING, excess.min())]
 
 
 # -- one model ----------------------------------------------------------------------------------------
