@@ -8,6 +8,7 @@ of the state space: affine bounds (`boxes`) settle most of them, and what is lef
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from time import perf_counter
 
 import numpy as np
@@ -30,10 +31,11 @@ MARGIN = (
 DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
 INPUT_TOLERANCE = 1e-7  # how far Phi may leave U, for rounding (relative to 1 + the size of the limit)
 FEW = 8  # binaries a step of a box that is not split further
-MANY = 40  # boxes solved for one direction, after which one model of all of F settles it
+MANY = 12  # boxes solved for one direction, after which one model of all of F settles it
 NARROW = 1e-4  # a box is not split along a side shorter than this (relative to 1 + where it is)
-MOST_BOXES = 20_000  # looked at for one set; what is then left has more binaries
+MOST_BOXES = 5_000  # looked at for one set; what is then left has more binaries
 AT_ONCE = 1024  # boxes that are bounded together: what they hold in memory
+ROUNDS = 12  # of states ever closer to the best ones
 SAMPLES = 200  # states from which the first attained values come
 
 
@@ -285,13 +287,10 @@ class _Simulation:
         n = ask.loop.system.state_size
         self.modes = ask.loop.system.modes
         self.before = range(ask.steps - 1)  # the steps whose disturbance has to be chosen
-        self.extreme = (
-            [_extreme_points(mode.disturbance, np.vstack([np.eye(n), -np.eye(n)])) for mode in self.modes]
-            if ask.steps > 1
-            else None
-        )
+        diagonals = np.array(list(product([-1.0, 1.0], repeat=n)))
+        self.extreme = [_extreme_points(mode.disturbance, diagonals) for mode in self.modes] if self.before else None
 
-    def improve(self, rounds=12):
+    def improve(self, rounds=ROUNDS):
         """Try random states of F, then states and disturbances ever closer to the best ones."""
         F, n = self.ask.F, self.ask.loop.system.state_size
         across = np.zeros((0, n)) if self.ask.inputs else self.ask.V
