@@ -22,7 +22,7 @@ from .boxes import ROUNDING, Boxes, bound_loop
 from .common import Support, checked_query, empty_support, replay
 from .formulation import Model, build, build_inputs, root_box
 
-__all__ = ["FORMULATIONS", "Model", "build", "support"]
+__all__ = ["FORMULATIONS", "Model", "build", "check_inputs", "support"]
 
 FORMULATIONS = ("split", "whole", "paper")
 MARGIN = (
@@ -31,9 +31,9 @@ MARGIN = (
 DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
 INPUT_TOLERANCE = 1e-7  # how far Phi may leave U, for rounding (relative to 1 + the size of the limit)
 FEW = 8  # binaries a step of a box that is not split further
-MANY = 12  # boxes solved for one direction, after which one model of all of F settles it
+MANY = 40  # boxes solved for one direction, divided by k^2, after which one model of all of F settles it
 NARROW = 1e-4  # a box is not split along a side shorter than this (relative to 1 + where it is)
-MOST_BOXES = 5_000  # looked at for one set; what is then left has more binaries
+MOST_BOXES = 20_000  # looked at for one set, divided by k^4; then one model of all of F settles the rest
 AT_ONCE = 1024  # boxes that are bounded together: what they hold in memory
 ROUNDS = 12  # of states ever closer to the best ones
 SAMPLES = 200  # states from which the first attained values come
@@ -113,7 +113,7 @@ def support(
     start = F & X
     if start.is_empty:
         return empty_support(len(V))
-    _require_inputs(loop, start if steps == 1 else X, bounds)
+    check_inputs(loop, start if steps == 1 else X, bounds)
     ask = _Ask(loop, start, V, steps, bounds, gap, time_limit)
     answers = _split(ask, cutoff, jobs) if formulation == "split" else _at_once(ask, formulation, jobs)
     value, bound = (np.array([getattr(answer, name) for answer in answers]) for name in ("value", "bound"))
@@ -218,7 +218,7 @@ def _split(ask, cutoff, jobs):
         settled = np.maximum(settled, np.where(still, -np.inf, upper).max(axis=0, initial=-np.inf))
         binaries, keep = found.binaries, still.any(axis=1)
         wide = boxes.reach > NARROW * (1 + boxes.size)
-        stop = looked > MOST_BOXES or perf_counter() - begin > budget
+        stop = looked > MOST_BOXES / ask.steps**4 or perf_counter() - begin > budget
         leaf = keep & (stop | (binaries <= FEW * ask.steps) | ~wide.any(axis=1))
         left.append((boxes.take(leaf), np.where(still, upper, -np.inf)[leaf]))
         on = keep & ~leaf
@@ -230,7 +230,8 @@ def _split(ask, cutoff, jobs):
     value = np.array([answer.value for answer in answers])
     keep = (upper > ask.enough(value, cutoff)).any(axis=1)
     settled = np.maximum(settled, upper[~keep].max(axis=0, initial=-np.inf))
-    leaves = _Leaves(ask, boxes.take(keep), upper[keep])
+    many = 1 if looked > MOST_BOXES / ask.steps**4 else max(1, MANY // ask.steps**2)
+    leaves = _Leaves(ask, boxes.take(keep), upper[keep], many)
 
     def settle(rows):
         models = {}
@@ -245,8 +246,8 @@ def _split(ask, cutoff, jobs):
 class _Leaves:
     """The boxes that are left, and a MILP on each of them."""
 
-    def __init__(self, ask, boxes, upper):
-        self.ask, self.boxes, self.upper = ask, boxes, upper
+    def __init__(self, ask, boxes, upper, many):
+        self.ask, self.boxes, self.upper, self.many = ask, boxes, upper, many
         self.found = bound_loop(ask.loop, boxes, ask.steps)
         self.binaries = self.found.binaries
 
@@ -269,7 +270,7 @@ class _Leaves:
             if remaining is not None and remaining <= 0:
                 answer.finished, answer.bound = False, max(answer.bound, upper[index])
                 break
-            chosen = index if count < MANY else None
+            chosen = index if count < self.many else None
             if chosen not in models:
                 models[chosen] = self.model(chosen)
             if models[chosen] is not None:
@@ -412,7 +413,7 @@ def _share(work, count, jobs):
 # -- checks -------------------------------------------------------------------------------------------
 
 
-def _require_inputs(loop, start, bounds):
+def check_inputs(loop, start, bounds="lp"):
     """Raise ValueError if Phi leaves U somewhere in `start`."""
     U = loop.system.input_set
     tol = INPUT_TOLERANCE * (1 + np.abs(U.h))
