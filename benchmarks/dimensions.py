@@ -94,7 +94,7 @@ def against_steps():
     print("\nOne direction, k exact steps from the terminal set, seconds:\n")
     print("| case | k = 1 | 2 | 3 | 4 | 5 |\n| --- | ---: | ---: | ---: | ---: | ---: |")
     for name in CASES:
-        loop, (_, terminal) = mr.case_study(name).loop, load_sets(name)
+        loop, terminal = mr.case_study(name).loop, load_sets(name)[-1]
         v = np.eye(loop.system.state_size)[:1]
         seconds = [timed(mr.support, loop, terminal, v, steps=k, engine="milp")[1] for k in range(1, 6)]
         print(f"| {name} | {' | '.join(f'{value:.2f}' for value in seconds)} |", flush=True)

@@ -163,7 +163,7 @@ def test_larger_network_stays_in_U_and_has_learnt_the_data(larger):
 
 
 def test_larger_sets_are_proven_by_the_milp(larger):
-    safe, terminal = load_sets(larger.name)
+    safe, *_, terminal = load_sets(larger.name)
     for F in (safe, terminal):
         assert mr.check_rpi(larger.loop, F, "milp").verdict == "proven"
     assert terminal.is_subset(safe) and safe.is_subset(larger.system.state_set)
@@ -172,7 +172,7 @@ def test_larger_sets_are_proven_by_the_milp(larger):
 
 
 def test_larger_trajectories_stay_in_the_safe_set_and_enter_the_terminal_set(larger):
-    safe, terminal = load_sets(larger.name)
+    safe, *_, terminal = load_sets(larger.name)
     rng, n, steps = np.random.default_rng(1), larger.system.state_size, 150
     x0 = np.vstack([safe.sample(rng, 300), safe.vertices(), larger.starts])
     held = rng.choice([-1.0, 1.0], (len(x0), 1, n)).repeat(steps, axis=1)  # the same corner of D all the time, or any
@@ -184,7 +184,7 @@ def test_larger_trajectories_stay_in_the_safe_set_and_enter_the_terminal_set(lar
 
 
 def test_larger_network_steers_to_the_origin_without_disturbance(larger):
-    safe, _ = load_sets(larger.name)
+    safe = load_sets(larger.name)[0]
     path = larger.loop.simulate(safe.sample(np.random.default_rng(2), 300), 400)
     equilibrium = larger.loop.equilibrium()
     assert np.abs(path[:, -1] - equilibrium).max() < 1e-3
@@ -192,7 +192,7 @@ def test_larger_network_steers_to_the_origin_without_disturbance(larger):
 
 
 def test_larger_bounds_dominate_dense_samples(larger):
-    safe, terminal = load_sets(larger.name)
+    safe, *_, terminal = load_sets(larger.name)
     rng, C = np.random.default_rng(3), larger.directions[:: 3 if larger.name == "three_tanks" else 1]
     for F in (safe, terminal):
         x = np.vstack([F.sample(rng, 20_000), F.vertices()])
@@ -208,7 +208,7 @@ def test_larger_bounds_dominate_dense_samples(larger):
 def test_larger_supports_agree_with_scip(larger):
     pytest.importorskip("cvxpy")
     pytest.importorskip("pyscipopt")
-    _, terminal = load_sets(larger.name)
+    terminal = load_sets(larger.name)[-1]
     V = np.ones((1, larger.system.state_size))
     found = mr.support(larger.loop, terminal, V, engine="milp")
     scip = mr.support(larger.loop, terminal, V, engine="cvxpy", solver="SCIP")
@@ -218,15 +218,16 @@ def test_larger_supports_agree_with_scip(larger):
 def test_four_tanks_sets_are_found_again():
     case = mr.case_study("four_tanks")
     safe = mr.safe_set(case.loop, case.safe_directions, engine="milp")
-    stored, _ = load_sets("four_tanks")
+    stored = load_sets("four_tanks")[0]
     assert safe.verdict == "proven" and safe.iterations > 0
-    np.testing.assert_allclose(safe.set.h, stored.h, atol=1e-6)
+    np.testing.assert_allclose(safe.set.support(stored.H), stored.support(stored.H), atol=1e-6)
 
 
 def test_damaged_sets_are_named(tmp_path, monkeypatch):
-    file = tmp_path / "sets.json"
+    file = tmp_path / "certificate.json"
     monkeypatch.setattr("mireach.case_studies.data_file", lambda name, file: tmp_path / file)
-    for text in ('{"format": "mireach-sets/1"', '{"format": "mireach-sets/1", "safe_set": {"H": [[1, 0]], "h": []}}'):
+    head = '{"format": "mireach-certificate/1"'
+    for text in (head, head + ', "template": [[1, 0]], "sets": [[]]}'):
         file.write_text(text)
-        with pytest.raises(CorruptFileError, match=r"sets\.json"):
+        with pytest.raises(CorruptFileError, match=r"certificate\.json"):
             load_sets("three_tanks")

@@ -126,14 +126,14 @@ def test_cases_that_are_not_the_paper_s_have_no_study(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_training_a_case_without_a_study_writes_its_sets(tmp_path, monkeypatch):
+def test_training_a_case_without_a_study_writes_its_certificate(tmp_path, monkeypatch):
     shipped = case_study("four_tanks").network
     monkeypatch.setitem(seeds.MAKERS, "four_tanks", partial(make_four_tanks_data, count=20))
     monkeypatch.setattr(seeds, "train_case", lambda *_, **__: (shipped, 0.0))
     monkeypatch.setattr(seeds, "terminal_set", partial(seeds.terminal_set, max_steps=1))
     said = seeds.retrain("four_tanks", folder=tmp_path, progress=False)
     assert "F_max after 7 iterations; max_steps = 1 came first" in said
-    assert {file.name for file in tmp_path.iterdir()} == {"samples.csv", "network.json", "sets.json"}
+    assert {file.name for file in tmp_path.iterdir()} == {"samples.csv", "network.json", "certificate.json"}
 
 
 def test_a_file_without_columns_is_no_study(tmp_path):

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from . import checker
 from .approximation import PWAFit, fit_pwa
 from .datasets import DataSet
 from .errors import CorruptFileError
-from .files import read_json, write_json
+from .files import read_json
 from .loop import ClosedLoop
 from .network import MaxoutNetwork
 from .plants import (
@@ -78,7 +79,6 @@ STARTS = {
     "four_tanks": [[2.5, -2.5, 0, 0], [-2.5, -2.5, -1, -1], [2, 3, 1, -1]],
 }
 EPSILON = 1e-3  # of eq. TerminationFmin, as in the paper
-SETS_FORMAT = "mireach-sets/1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,20 +193,10 @@ def double_integrator_fit(cells=3, **options):
     return fit_pwa(plant, chessboard(plant.state_set, plant.input_set, cells), **options)
 
 
-def save_sets(path, safe, terminal):
-    """Write F_max and the terminal set, with the numbers of their iterations, to a JSON file."""
-    value = {
-        "format": SETS_FORMAT,
-        "safe_set": {**safe.set.to_dict(), "iterations": safe.iterations},
-        "terminal_set": {**terminal.set.to_dict(), "steps": terminal.steps},
-    }
-    write_json(path, value)
-
-
 def load_sets(name):
-    """The sets of a case with more than two states, which take the MILP minutes to find: (F_max, terminal set).
+    """The sets of a case's certificate, F_max = R_0, R_1, ..., the terminal set: list of Polytope.
 
-    They are no proof by themselves: `check_rpi` proves them anew.
+    A file is no proof by itself: `certificate.verify` checks it, and `check_rpi` proves its sets anew.
 
     Raises
     ------
@@ -215,10 +205,10 @@ def load_sets(name):
     FileNotFoundError
         If the case has no such file.
     """
-    path = data_file(name, "sets.json")
-    value = read_json(path, SETS_FORMAT)
+    path = data_file(name, "certificate.json")
+    value = read_json(path, checker.FORMAT)
     try:
-        return tuple(Polytope.from_dict(value[key]) for key in ("safe_set", "terminal_set"))
+        return [Polytope(value["template"], h) for h in value["sets"]]
     except (KeyError, TypeError, ValueError) as error:
         raise CorruptFileError(f"{path} holds no sets: {error!r}; make it again with run.py train {name}") from error
 

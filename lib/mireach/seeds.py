@@ -10,7 +10,8 @@ from time import perf_counter
 import numpy as np
 from tqdm.auto import tqdm
 
-from .case_studies import PAPER, PLANTS, SHAPES, case_study, data_file, require_name, save_sets
+from .case_studies import PAPER, PLANTS, SHAPES, case_study, data_file, require_name
+from .certificate import write
 from .checks import whole_number
 from .datasets import MAKERS, DataSet
 from .engines.cells import cells
@@ -344,8 +345,8 @@ def retrain(name, seed=None, folder=None, progress=True):
     seed : int or None
         None is the seed whose network is shipped: that of the study, or 0 for a case without one.
     folder : str, Path or None
-        Where samples.csv and network.json are written, and sets.json for a case with more than two states;
-        None is the case's folder in `data`.
+        Where samples.csv and network.json are written, and certificate.json for a case with more than two states,
+        with the bounds of the MILP; None is the case's folder in `data`.
     progress : bool
 
     Returns
@@ -361,18 +362,18 @@ def retrain(name, seed=None, folder=None, progress=True):
     data.save(folder / "samples.csv")
     network, loss = train_case(name, seed, data, progress=progress)
     network.save(folder / "network.json")
-    found = analyse_seed(name, seed, network, loss) if name in PAPER else _write_sets(name, network, folder, progress)
+    found = analyse_seed(name, seed, network, loss) if name in PAPER else _certify(name, network, folder, progress)
     return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {found}"
 
 
-def _write_sets(name, network, folder, progress):
-    """Find F_max and the terminal set of a trained network and write sets.json: what came out, for people."""
+def _certify(name, network, folder, progress):
+    """Find F_max and the terminal set of a trained network and write certificate.json: what came out, for people."""
     case = case_study(name, network)
     safe = safe_set(case.loop, case.safe_directions, progress=progress)
     if safe.set is None:
         return f"no F_max: {safe.reason}"
     terminal = terminal_set(case.loop, safe, case.directions, case.epsilon, progress=progress)
-    save_sets(folder / "sets.json", safe, terminal)
+    write(folder / "certificate.json", case.loop, safe, terminal)
     return f"F_max after {safe.iterations} iterations; {terminal.reason}, alpha = {terminal.alpha:.9g}"
 
 
