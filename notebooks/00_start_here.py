@@ -216,6 +216,7 @@ for condition, holds in answer.conditions.items():
 # | 11_your_own_system | your own plant and your own torch network | |
 # | 12_disturbance_lab | drag the disturbance and watch the sets follow | |
 # | 13_the_maximal_safe_set | the set that the paper calls out of reach, by going backwards | ex10 |
+# | 14_beyond_the_plane | three and four tanks: the MILP alone, and what it can prove | |
 #
 # The notebooks 01 to 04 build on each other. 05 and 06 belong together, and so do 07, 08 and 09; 11 needs only this
 # page, 12 and 13 need 06 and 09. `python3 run.py exercises` puts your copies of the exercises into

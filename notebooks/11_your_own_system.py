@@ -381,4 +381,4 @@ show("a terminal set without a safe set", lambda: mr.terminal_set(rough, none_fo
 # - Goodfellow, Warde-Farley, Mirza, Courville, Bengio, *Maxout networks*, ICML 2013.
 # - `docs/references.bib` lists what the paper and this course rely on.
 #
-# This is the last notebook. To go back to the paper's claims, run `python3 run.py reproduce`.
+# Notebooks 12 to 14 go on: a lab for the disturbance, sets without templates, more than two states.
