@@ -252,7 +252,7 @@ def binary(value, where):
 
 def fraction(value, where):
     """Text of the form p/q."""
-    if not isinstance(value, str) or not FRACTION.fullmatch(value):
+    if type(value) is not str or not FRACTION.fullmatch(value):  # a Numeral is none
         raise Malformed(f"{where}: {str(value)[:50]!r} is no fraction")
     return Fraction(value)
 
@@ -355,9 +355,9 @@ class Network:
     def __call__(self, x):
         """Phi(x) of fractions, from its definition."""
         for rows, pool in self.hidden:
-            z = [dot(row, (*x, 1)) for row in rows]
+            z = affine(rows, x)
             x = [max(z[i : i + pool]) for i in range(0, len(z), pool)]
-        return tuple(dot(row, (*x, 1)) for row in self.output)
+        return tuple(affine(self.output, x))
 
 
 @dataclass(frozen=True)
@@ -455,7 +455,7 @@ def read_bounds(value, n, count, rows):
     if value is None:
         return None
     solver, offsets = fields(value, "bounds", ("solver", "offsets"))
-    if not isinstance(solver, str) or not (solver.isascii() and solver.isprintable()) or len(solver) > 50:
+    if type(solver) is not str or not (solver.isascii() and solver.isprintable()) or len(solver) > 50:
         raise Malformed("the name of a solver has at most 50 printable letters")
     return solver, matrix(offsets, binary, "bounds", rows, count)
 
@@ -472,6 +472,12 @@ def whole(row):
     """A row of fractions as whole numbers, and the number by which it was multiplied for that."""
     unit = lcm(*(entry.denominator for entry in row))
     return tuple(entry.numerator * (unit // entry.denominator) for entry in row), unit
+
+
+def affine(rows, x):
+    """w x + b for each row (w, b) of fractions, reduced once a row."""
+    x, unit = whole((*x, 1))
+    return [Fraction(dot(row, x), own * unit) for row, own in map(whole, rows)]
 
 
 def half_plane(a, b):
@@ -588,12 +594,12 @@ def winners(corners, channels, clock):
 
     Parts of lower dimension than the polygon are left out: Phi is continuous, and their neighbours hold them.
     """
-    values = []
+    heights = []
     for form in channels:
         clock()
-        values.append([at(form, x) for x in corners])
-    largest = [max(column) for column in zip(*values)]
-    for form, own in zip(channels, values):
+        heights.append([at(form, x) for x in corners])
+    largest = [max(column) for column in zip(*heights)]
+    for form, own in zip(channels, heights):
         if own == largest:
             return [(corners, form)]
     found = []
@@ -662,7 +668,7 @@ class Claims:
     def __init__(self, certificate, seconds):
         self.certificate, self.seconds, self.end = certificate, seconds, time.monotonic() + seconds
         self.sets, self.last, self.n = certificate.sets, len(certificate.sets) - 1, len(certificate.modes[0].A)
-        self.found = {}
+        self.found, self.spread = {}, {}
 
     def results(self):
         """One Result a claim, in the order of `CLAIMS`."""
@@ -866,8 +872,11 @@ class Claims:
 
     def _excess(self, a, b, cell):
         """The line that is positive where a (A x + B Phi(x) + p + d) > b for some d in D of the cell's mode."""
+        key = cell.mode, a
+        if key not in self.spread:
+            self.spread[key] = max(dot(a, d) for d in self._disturbances[cell.mode])
         row, scale = whole(a)
-        rest = (max(dot(a, d) for d in self._disturbances[cell.mode]) - b) * scale
+        rest = (self.spread[key] - b) * scale
         x, y, w = (rest.denominator * dot(row, entries) for entries in zip(*cell.after))
         return x, y, w + rest.numerator * cell.unit
 
