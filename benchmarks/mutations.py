@@ -19,7 +19,7 @@ from mireach import checker
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from certificates import MUTATIONS, false_claims, outcome, random_certificate
+from certificates import MUTATIONS, false_claims, outcome, random_certificate  # noqa: E402
 
 SMALL = 60  # random certificates
 SHIPPED = ("pwa", "pwa", "pwa", "double_integrator")  # the second takes an oracle seconds
