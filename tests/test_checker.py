@@ -184,6 +184,8 @@ def test_a_later_set_outside_f_max_proves_nothing():
     found = check(content(later=[(1.0, 1.0, 1.5, 1.0), (1.0, 1.0, 1.0, 1.0)]))
     assert found["sequence"].verdict == "refuted" and "not in F_max" in found["sequence"].reason
     assert found["terminal_set"].verdict == "refuted"
+    found = check(content(later=[(1.0, 1.0, 1.5, 1.0)], X=box(2.0)))  # the last of all
+    assert found["sequence"].verdict == "proven" and found["terminal_set"].verdict == "refuted"
 
 
 def test_an_empty_terminal_set_does_not_hold_the_image():
@@ -239,6 +241,8 @@ def test_the_criterion_is_decided_both_ways():
     assert verdict(value, "criterion") == "refuted"
     value = content(mode(D=box(0.25)), later=[(1.0, 1.0, 1.0, 1.0)], criterion={"holds": False})
     assert verdict(value, "criterion") == "proven"  # R_1 of the shrunk set is smaller than that
+    still = content(mode(A=((1.0, 0.0), (0.0, 1.0))), later=[(1.0, 1.0, 1.0, 1.0)])
+    assert verdict(still, "criterion") == "proven"  # R_1 of the shrunk set is that set, neither more nor less
     value["claims"]["criterion"]["centre"] = [3.0, 0.0]
     assert "fails" in check(value)["criterion"].reason
 
@@ -307,6 +311,13 @@ def test_an_error_that_d_just_holds_is_proven_and_one_that_it_does_not_is_refute
     found = check(with_plant(mode(D={"H": SQUARE, "h": [0.2, 0.2, 0.0, 0.2]}), f=f))["error_set"]
     x = Fraction(found.witness["state"][0])
     assert x * x / 4 > Fraction(2, 10) and abs(x) <= 1
+
+
+def test_an_error_that_is_largest_inside_is_found():
+    f = [(1.5, 1, 0, 0), (-1.0, 2, 0, 0)], LINEAR[1]  # x1 (1 - x1), at most 1/4
+    for top, expected in ((0.25, "proven"), (0.2499, "refuted"), (0.1, "refuted")):
+        D = {"H": SQUARE, "h": [top, 0.0, 2.0, 0.0]}
+        assert verdict(with_plant(mode(D=D), f=f), "error_set") == expected
 
 
 def test_the_error_counts_where_the_region_meets_x_and_u():
@@ -378,6 +389,13 @@ def test_pieces_cover_the_domain_with_what_the_network_says(seed, flat):
         assert holding
         for _, forms, unit in holding:
             assert Fraction(checker.at(forms[0], corner), unit * 4) == net(x)[0]
+
+
+def test_corners_may_be_far_away():
+    rows = [((-1, 0), 0), ((1, -1000), 1), ((0, 1), 5)]  # the last two meet in (5001, 5)
+    rows = [(tuple(map(Fraction, a)), Fraction(b)) for a, b in rows]
+    assert sorted(map(checker.point, checker.polygon(rows, "it", free))) == corners_of(rows)
+    assert (5001, 5) in corners_of(rows)
 
 
 def is_in(corners, x):
