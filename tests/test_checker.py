@@ -188,6 +188,14 @@ def test_a_later_set_outside_f_max_proves_nothing():
     assert found["sequence"].verdict == "proven" and found["terminal_set"].verdict == "refuted"
 
 
+def test_a_last_set_that_holds_the_image_of_the_one_before_need_not_be_invariant():
+    swap = mode(A=((0.0, 0.9), (0.9, 0.0)))
+    found = check(content(swap, later=[(0.9, 0.9, 0.9, 0.9), (0.82, 1.0, 0.82, 1.0)]))
+    assert found["sequence"].verdict == "proven" and found["terminal_set"].verdict == "refuted"
+    x, after = (abs(Fraction(found["terminal_set"].witness[key][i])) for key, i in (("state", 1), ("after", 0)))
+    assert x <= 1 and after == x * Fraction(9, 10) > Fraction(82, 100)
+
+
 def test_an_empty_terminal_set_does_not_hold_the_image():
     found = check(content(later=[(1.0, 1.0, -2.0, 1.0)]))
     assert not any(found[name].verdict == "proven" for name in ("sequence", "terminal_set", "criterion", "theorem_1"))
