@@ -8,9 +8,10 @@
     python3 run.py app                the disturbance lab as a page of its own, for a lecture
     python3 run.py exercises          the students' copies of the exercises -> notebooks/exercises/release/
     python3 run.py notebooks [NAME]   execute the notebooks' .py files and keep the outputs in the .ipynb files
-    python3 run.py train CASE         make the data set and the network of CASE (pwa, double_integrator) from scratch
-    python3 run.py seeds CASE         the seed study of CASE, on all cores or with --scheduler ADDRESS; with
-                                      --analyse-only its maximal safe sets alone
+    python3 run.py train CASE         make the data set and the network of CASE from scratch; the cases are pwa,
+                                      double_integrator, three_tanks and four_tanks
+    python3 run.py seeds CASE         the seed study of pwa or double_integrator, on all cores or with --scheduler
+                                      ADDRESS; with --analyse-only its maximal safe sets alone
     python3 run.py bench              benchmarks/
 
 What follows the task is passed on to it: `python3 run.py reproduce --help`.

@@ -12,8 +12,9 @@ import numpy as np
 from joblib import Parallel, delayed
 
 import mireach as mr
-from mireach.case_studies import INPUT_LIMITS, data_file
+from mireach.case_studies import data_file
 from mireach.datasets import DataSet
+from mireach.plants import INTEGRATOR_INPUT_LIMIT
 from mireach.seeds import train_case
 
 NAME = "double_integrator"
@@ -31,7 +32,7 @@ def main(seeds):
 
 def braking(data):
     """The data, and at states without a solution the input of largest size against x1 + x2."""
-    limit = INPUT_LIMITS[NAME]
+    limit = INTEGRATOR_INPUT_LIMIT
     inputs = -limit * np.sign(data.infeasible.sum(axis=1, keepdims=True))
     states = np.vstack([data.states, data.infeasible])
     costs = np.concatenate([data.costs, np.zeros(len(inputs))])

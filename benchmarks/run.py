@@ -14,6 +14,7 @@ from time import perf_counter
 
 import highspy
 import numpy as np
+import peers
 
 import mireach as mr
 from mireach import planar
@@ -22,7 +23,9 @@ from mireach.engines import cells, exact, milp
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
-    parser.add_argument("--quick", action="store_true", help="leave out the MILP over X and the whole process")
+    parser.add_argument(
+        "--quick", action="store_true", help="leave out the MILP over X, the whole process and the peers"
+    )
     quick = parser.parse_args().quick
     print(f"Python {platform.python_version()}, numpy {np.__version__}, HiGHS {highspy.Highs().version()},", end=" ")
     print(f"{platform.system()} {platform.machine()}\n")
@@ -31,6 +34,8 @@ def main():
         for_case(name, quick)
     if not quick:
         whole_process()
+        print()
+        peers.main([])
 
 
 def for_case(name, quick):

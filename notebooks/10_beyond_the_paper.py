@@ -9,12 +9,13 @@
 # ---
 
 # %% [markdown]
-# # Go beyond the paper: exact cells, better centres, tighter errors, many seeds
+# # Go beyond the paper: exact cells, better centres, tighter errors, many seeds, certificates
 #
 # **What you will do.** Draw the closed loops of both case studies as what they are, hundreds of affine pieces,
 # and compute $h_{\mathcal{R}_1}$ without any MILP. Find a network for which the paper's stopping rule never holds,
 # see why, and repair it. Shrink the error set of the double integrator from a square to a segment. Ask a study of
-# many trained networks how typical the paper's numbers are, and what decides them.
+# many trained networks how typical the paper's numbers are, and what decides them. Write a certificate, have it
+# checked in exact arithmetic, and forge one.
 #
 # **What you will learn.** Why a maximum over vertices replaces the MILP in the plane; that *converged* and *the
 # stopping rule holds* are two different things; what $\alpha = 1$ means; how much a certificate owes to the
@@ -23,6 +24,10 @@
 # **What you need.** Notebooks 04, 06, 07 and 09. "Run all" takes about a minute.
 
 # %%
+import json
+import tempfile
+from fractions import Fraction
+from pathlib import Path
 from timeit import timeit
 
 import matplotlib.pyplot as plt
@@ -711,6 +716,65 @@ for words, loop in loops.items():
 # template, of the error set and of such details; which of them made it 19 in the paper, its text does not tell.
 
 # %% [markdown]
+# ## 5 A certificate that anybody can check
+#
+# So far *proven* meant: this package says so, with bounds that are rounded outward. A referee need not believe that.
+# `mr.certificate.write` puts system, network, template, the sequence of sets and the claims into one file; where a
+# set misses its claim by rounding, it is enlarged until the claim is *exactly* true. `mr.certificate.verify` derives
+# every claim again: `mireach/checker.py` imports nothing but Python's standard library, shares no code with the
+# engines, and computes with whole numbers, so that nothing is ever rounded.
+#
+# Decimals of the plant are decimals there, $0.936 = 936/1000$; weights are the binary fractions that floats are.
+
+# %% tags=["nbval-check-output"]
+folder = Path(tempfile.mkdtemp())
+paper_case, paper_safe = cases["pwa"], safe["pwa"]
+paper_terminal = mr.terminal_set(paper_case.loop, paper_safe, paper_case.directions, paper_case.epsilon)
+certificate = mr.certificate.write(folder / "certificate.json", paper_case.loop, paper_safe, paper_terminal)
+print(mr.certificate.verify(folder / "certificate.json", network=data_file("pwa", "network.json")))
+
+# %% [markdown]
+# Theorem 1 is no matter of tolerances any more. For the sets of the file, $\alpha$ is a fraction:
+
+# %% tags=["nbval-check-output"]
+print(f"alpha = {certificate.alpha}")
+print(f"alpha > 1: {certificate.alpha > 1}")
+
+# %% [markdown]
+# ### A forged one is refused
+#
+# Somebody would like a smaller safe set and moves the top of $\mathcal{F}_{\max}$ down, from 8.52 to 8. The digest
+# no longer fits, and the checker says so before it looks at anything else.
+
+# %% tags=["nbval-check-output"]
+forged = json.loads((folder / "certificate.json").read_text())
+top = forged["template"].index([0.0, 1.0])
+print(f"x2 <= {forged['sets'][0][top]:.6f} becomes x2 <= 8")
+forged["sets"][0][top] = 8.0
+(folder / "forged.json").write_text(json.dumps(forged))
+print(mr.certificate.verify(folder / "forged.json"))
+
+# %% [markdown]
+# A better forger makes the digest anew, `mireach.checker.digest` tells how. Then only the mathematics is left, and it
+# answers with a step out of the set, which anybody can replay: $x$ lies in the forged set, its successor does not.
+
+# %% tags=["nbval-check-output"]
+report = mr.certificate.verify(folder / "forged.json", ignore_digest=True)
+print(report)
+witness = report["safe_set"].witness
+x, d = (np.array([float(Fraction(part)) for part in witness[key]]) for key in ("state", "disturbance"))
+print(f"\nreplayed: {x} -> {paper_case.loop.step(x, d).round(6)}, and x2 should be at most 8")
+
+# %% [markdown]
+# Claims that rest on a refuted one are not looked at any more; those that do not, stand. With 8.5 in place of 8 the
+# forger would have been lucky: that smaller set is RPI as well, and the checker proves it. It judges what a file
+# says, not who wrote it.
+#
+# The shipped certificates are `data/pwa/certificate.json` and `data/double_integrator/certificate.json`, the second
+# with the error set of the fit and Theorem 2. `python3 run.py verify FILE` checks them within seconds, on any machine
+# that has Python, with nothing installed.
+
+# %% [markdown]
 # ## What you saw
 #
 # - In the plane the closed loop is a list of polygons with one affine map each, and $h_{\mathcal{R}_1}$ is a maximum
@@ -721,6 +785,8 @@ for words, loop in loops.items():
 # - Error sets that know the structure of the error cost nothing and shrink the result.
 # - A small loss is no certificate, in case 2 not even a hint. Template, error set, order of operations and states
 #   without data decide.
+# - A certificate carries what its claims need. Exact arithmetic decides them, $\alpha > 1$ included, and a forger meets
+#   a step that leaves the forged set.
 #
 # ## On your own
 #
@@ -728,6 +794,8 @@ for words, loop in loops.items():
 # - Of the networks without a safe set: does a small change cure them? Add states in the upper right corner with
 #   $u = -2$ to the data, and train again (`mireach.training.train`).
 # - Repeat the table with `mr.directions(32)`. When does it stop to pay?
+# - Forge the certificate so that it is still proven: which sets can be changed, and in which direction? What may you do
+#   to the weights of the network?
 # - Take a network for which the rule holds and $\alpha = 1$. Print `alphas`: since which $k$ has a facet rested?
 #
 # ## Further reading

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import mireach as mr
-from mireach.case_studies import NAMES, data_file
+from mireach.case_studies import NAMES, PAPER, data_file, load_sets
+from mireach.errors import CorruptFileError
 
 BOUNDARY_POINTS = {
     "pwa": [(0.0, -4.0), (3.0, 0.0), (0.0, 0.0), (-5.0, 0.0), (0.0, 10.0)],
@@ -12,8 +13,16 @@ BOUNDARY_POINTS = {
 }
 
 
-@pytest.fixture(scope="module", params=NAMES)
+LARGER = ("three_tanks", "four_tanks")  # more than two states: no cells, no vertices drawn by hand
+
+
+@pytest.fixture(scope="module", params=PAPER)
 def case(request):
+    return mr.case_study(request.param)
+
+
+@pytest.fixture(scope="module", params=LARGER)
+def larger(request):
     return mr.case_study(request.param)
 
 
@@ -28,7 +37,8 @@ def terminal(case, safe):
 
 
 def test_unknown_case_is_refused_with_the_names():
-    with pytest.raises(ValueError, match="pwa, double_integrator"):
+    assert NAMES == (*PAPER, *LARGER)
+    with pytest.raises(ValueError, match="pwa, double_integrator, three_tanks, four_tanks"):
         mr.case_study("pwm")
 
 
@@ -129,3 +139,94 @@ def test_theorem_2_needs_the_error_inside_the_disturbance_set():
 def test_data_files_are_found(case):
     for file in ("network.json", "samples.csv", "seeds.csv", "seed_networks.jsonl"):
         assert data_file(case.name, file).is_file()
+
+
+# -- more than two states -----------------------------------------------------------------------------
+
+
+def test_larger_case_is_wired(larger):
+    n, modes, shape = {"three_tanks": (3, 4, [(5, 2)] * 2), "four_tanks": (4, 1, [(4, 3)] * 2)}[larger.name]
+    assert larger.system.state_size == n and len(larger.system.modes) == modes and larger.paper == {}
+    assert [(layer.width, layer.pool) for layer in larger.network.hidden] == [*shape, (2, 2), (2, 2)]
+    assert larger.directions.shape == larger.safe_directions.shape == (8, n) and larger.starts.shape == (3, n)
+    lower, upper = larger.system.modes[0].disturbance.bounding_box()
+    np.testing.assert_array_equal([lower, upper], np.outer([-1, 1], [larger.disturbance_bound] * n))
+
+
+def test_larger_network_stays_in_U_and_has_learnt_the_data(larger):
+    lower, upper = larger.system.input_set.bounding_box()
+    X = larger.system.state_set
+    inputs = larger.network(np.vstack([X.sample(np.random.default_rng(0), 20_000), X.vertices()]))
+    assert (inputs >= lower).all() and (inputs <= upper).all()
+    error = ((larger.network(larger.data.states) - larger.data.inputs) ** 2).mean()
+    assert error < 1e-3 * larger.data.inputs.var()
+
+
+def test_larger_sets_are_proven_by_the_milp(larger):
+    safe, terminal = load_sets(larger.name)
+    for F in (safe, terminal):
+        assert mr.check_rpi(larger.loop, F, "milp").verdict == "proven"
+    assert terminal.is_subset(safe) and safe.is_subset(larger.system.state_set)
+    assert safe.contains(larger.starts).all()
+    assert terminal.contains(safe.sample(np.random.default_rng(0), 20_000)).mean() < 0.1
+
+
+def test_larger_trajectories_stay_in_the_safe_set_and_enter_the_terminal_set(larger):
+    safe, terminal = load_sets(larger.name)
+    rng, n, steps = np.random.default_rng(1), larger.system.state_size, 150
+    x0 = np.vstack([safe.sample(rng, 300), safe.vertices(), larger.starts])
+    held = rng.choice([-1.0, 1.0], (len(x0), 1, n)).repeat(steps, axis=1)  # the same corner of D all the time, or any
+    drawn = rng.choice([-1.0, 1.0], (len(x0), steps, n))
+    for signs in (held, drawn):
+        path = larger.loop.simulate(x0, steps, larger.disturbance_bound * signs)
+        assert safe.contains(path, tol=1e-6).all()
+        assert terminal.contains(path[:, -1], tol=1e-6).all()
+
+
+def test_larger_network_steers_to_the_origin_without_disturbance(larger):
+    safe, _ = load_sets(larger.name)
+    path = larger.loop.simulate(safe.sample(np.random.default_rng(2), 300), 400)
+    equilibrium = larger.loop.equilibrium()
+    assert np.abs(path[:, -1] - equilibrium).max() < 1e-3
+    assert np.abs(equilibrium).max() < 0.05  # cm
+
+
+def test_larger_bounds_dominate_dense_samples(larger):
+    safe, terminal = load_sets(larger.name)
+    rng, C = np.random.default_rng(3), larger.directions[:: 3 if larger.name == "three_tanks" else 1]
+    for F in (safe, terminal):
+        x = np.vstack([F.sample(rng, 20_000), F.vertices()])
+        modes, u = larger.system.modes, larger.network(x)
+        inside = larger.system.violation(x, u) <= 0  # on shared boundaries every mode that contains the point counts
+        reached = [mode.successor(x, u)[inside[:, i]] for i, mode in enumerate(modes)]
+        sampled = (np.vstack(reached) @ C.T).max(axis=0) + modes[0].disturbance.support(C)
+        found = mr.support(larger.loop, F, C, engine="milp")
+        assert (found.bound >= sampled).all() and (found.value >= sampled - 1e-7).all()
+        assert (found.bound - found.value <= 1e-6).all()
+
+
+def test_larger_supports_agree_with_scip(larger):
+    pytest.importorskip("cvxpy")
+    pytest.importorskip("pyscipopt")
+    _, terminal = load_sets(larger.name)
+    V = np.ones((1, larger.system.state_size))
+    found = mr.support(larger.loop, terminal, V, engine="milp")
+    scip = mr.support(larger.loop, terminal, V, engine="cvxpy", solver="SCIP")
+    np.testing.assert_allclose(found.value, scip.value, atol=1e-6)
+
+
+def test_four_tanks_sets_are_found_again():
+    case = mr.case_study("four_tanks")
+    safe = mr.safe_set(case.loop, case.safe_directions, engine="milp")
+    stored, _ = load_sets("four_tanks")
+    assert safe.verdict == "proven" and safe.iterations > 0
+    np.testing.assert_allclose(safe.set.h, stored.h, atol=1e-6)
+
+
+def test_damaged_sets_are_named(tmp_path, monkeypatch):
+    file = tmp_path / "sets.json"
+    monkeypatch.setattr("mireach.case_studies.data_file", lambda name, file: tmp_path / file)
+    for text in ('{"format": "mireach-sets/1"', '{"format": "mireach-sets/1", "safe_set": {"H": [[1, 0]], "h": []}}'):
+        file.write_text(text)
+        with pytest.raises(CorruptFileError, match=r"sets\.json"):
+            load_sets("three_tanks")

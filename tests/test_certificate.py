@@ -73,7 +73,9 @@ def test_a_certificate_is_written_and_read(tmp_path):
     report = certificate.verify(tmp_path / "it.json", DATA / "pwa" / "network.json")
     assert report.digest == "as written" and report.network
     assert report.results == made.report.results and verdicts(made).keys() == PLANAR
-    assert made["safe_set"].verdict == "proven" and made.alpha == Fraction(made.content["claims"]["theorem_1"]["alpha"])
+    assert made.report["safe_set"].verdict == "proven" and made.alpha == Fraction(
+        made.content["claims"]["theorem_1"]["alpha"]
+    )
     assert 0 <= made.inflation < 1e-8
     content, F = made.content, safe.set
     for row, h in zip(content["template"], content["sets"][0]):
@@ -96,7 +98,7 @@ def test_a_set_whose_enlargement_creeps_ends_just_above_the_limit(gain):
     loop = affine_loop(gain * np.eye(2), square(0.8 * (1 - gain)))
     safe = mr.safe_set(loop, mr.box_directions(2))
     made = certificate.make(loop, with_set(safe, np.full(4, 0.8 - 1e-10)))
-    assert made["safe_set"].verdict == "proven" and made.inflation < 1e-8
+    assert made.report["safe_set"].verdict == "proven" and made.inflation < 1e-8
     assert all(0.8 - 1e-12 < h < 0.8 + 1e-8 for h in made.content["sets"][0])
 
 
@@ -134,9 +136,9 @@ def test_a_set_that_is_too_small_is_not_proven_and_has_a_step_of_fractions(with_
         terminal = mr.terminal_set(loop, safe, max_steps=2)
         terminal = replace(terminal, history=[small.set, *terminal.history[1:]])
     made = certificate.make(loop, small, terminal)
-    assert not made.report.proven and made["safe_set"].verdict == "refuted"
+    assert not made.report.proven and made.report["safe_set"].verdict == "refuted"
     claim = made.content["claims"]["safe_set"]
-    assert claim["verdict"] == "not proven" and claim["reason"] == made["safe_set"].reason
+    assert claim["verdict"] == "not proven" and claim["reason"] == made.report["safe_set"].reason
     replays(loop, made.content, claim["witness"], 0)
 
 
@@ -168,7 +170,7 @@ def test_a_criterion_that_floats_got_wrong_is_put_right():
     terminal = mr.terminal_set(loop, safe, epsilon=0.05, max_steps=4)
     for holds in (True, False):
         made = certificate.make(loop, safe, replace(terminal, criterion=holds))
-        assert made["criterion"].verdict == "proven"
+        assert made.report["criterion"].verdict == "proven"
         assert made.content["claims"]["criterion"]["holds"] == terminal.criterion
 
 
@@ -241,12 +243,12 @@ def test_f_is_written_as_the_polynomial_that_it_is():
     made, plant = in_plane(f)
     for z in np.random.default_rng(0).uniform(-1, 1, (20, 3)):
         np.testing.assert_allclose(value_of(made.content, z), plant(z[:2], z[2:]), atol=1e-15)
-    assert made["error_set"].verdict == "proven" and made["theorem_2"].verdict == "not checked"
+    assert made.report["error_set"].verdict == "proven" and made.report["theorem_2"].verdict == "not checked"
 
 
 def test_f_may_be_constant():
     made, _ = in_plane(lambda x, u: [0.5 * x[0], 0.25])
-    assert value_of(made.content, (0.0, 0.0, 0.0)) == [0, 0.25] and made["error_set"].verdict == "refuted"
+    assert value_of(made.content, (0.0, 0.0, 0.0)) == [0, 0.25] and made.report["error_set"].verdict == "refuted"
     claim = made.content["claims"]["error_set"]
     assert claim["verdict"] == "not proven" and abs(
         Fraction(claim["witness"]["state"][1]) / 2 - Fraction(1, 4)

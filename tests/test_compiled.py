@@ -5,9 +5,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from mireach.compiled import around, highest, polygon
+from mireach.compiled import around, highest, parts, polygon, sharp_pairs
 from mireach.polygons import Polygons
 
 PARALLEL, TOL = 1e-12, 1e-11
@@ -95,9 +95,12 @@ def test_highest_point_of_cut_polygons(seed):
     spread, H = rng.uniform(0, 1, (2, 5)), random_rows(rng, 6)
     h = rng.uniform(-0.2, 2, 6) * np.linalg.norm(H, axis=1)
     heights = np.array([((hull @ M[j].T + c[j]) @ V.T).max(axis=0) for j, hull in enumerate(hulls)])
-    value, owner = highest(
-        polygons.points, polygons.starts, *polygons.discs, M, c, mode, heights, spread, readonly(H), readonly(h), TOL, V
-    )
+    heights += spread[mode]
+    error = rng.uniform(0, 0.1, (count, 2))
+    shape = (polygons.points, polygons.starts, *polygons.discs, mode)
+    tops = heights + error @ np.abs(V).T
+    rows = (readonly(H), readonly(h), np.full(6, -1), 0.0, TOL)
+    value, top, owner = highest(*shape, *rows, M, c, error, spread, heights, tops, V)
     wanted = np.full((count, 5), -np.inf)
     for j, hull in enumerate(hulls):
         for k, v in enumerate(V):  # x = hull' w with weights w >= 0 that add up to 1
@@ -106,8 +109,10 @@ def test_highest_point_of_cut_polygons(seed):
             )
             if best.status == 0:
                 wanted[j, k] = -best.fun + v @ c[j] + spread[mode[j], k]
-    np.testing.assert_allclose(value, wanted.max(axis=0), atol=1e-8)
+    with_error = wanted + error @ np.abs(V).T
+    np.testing.assert_allclose(top, with_error.max(axis=0), atol=1e-8)
     if np.isfinite(value).all():
+        np.testing.assert_allclose(with_error[owner, range(5)], top, atol=1e-8)
         np.testing.assert_allclose(wanted[owner, range(5)], value, atol=1e-8)
 
 
@@ -133,11 +138,53 @@ def test_corners_that_rounding_feigns_are_left_out():
 
 def test_a_tip_that_only_touches_counts():
     polygons = Polygons.of([np.array([[0.0, 0], [2, 0], [2, 1]]), np.array([[0.0, 0], [-0.5, 1], [-0.5, -1]])])
-    maps = np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)), np.zeros(2, int)
-    beyond = readonly([[-1.0, 0]]), readonly([-2.0])  # x1 >= 2
-    asked = np.full((2, 2), 9.0), np.zeros((1, 2)), *beyond, TOL, np.eye(2)
-    value, _ = highest(polygons.points, polygons.starts, *polygons.discs, *maps, *asked)
+    shape = (polygons.points, polygons.starts, *polygons.discs, np.zeros(2, int))
+    beyond = (readonly([[-1.0, 0]]), readonly([-2.0]), np.array([-1]), 0.0, TOL)  # x1 >= 2
+    maps, whole = (np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)), np.zeros((2, 2))), np.full((2, 2), 9.0)
+    value, top, _ = highest(*shape, *beyond, *maps, np.zeros((1, 2)), whole, whole, np.eye(2))
     np.testing.assert_allclose(value, [2, 1])
+    np.testing.assert_allclose(top, [2, 1])
+    points, starts, owner = parts(*shape, *beyond)
+    assert sorted(map(tuple, points.tolist())) == [(2, 0), (2, 1)]
+    assert starts.tolist() == [0, 2] and owner.tolist() == [0]
+
+
+def test_a_row_of_one_mode_cuts_the_polygons_of_that_mode_only():
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    polygons = Polygons.of([square, square])
+    shape = (polygons.points, polygons.starts, *polygons.discs, np.array([0, 1]))
+    points, starts, owner = parts(*shape, readonly([[1.0, 0]]), readonly([0.25]), np.array([1]), 0.0, TOL)
+    assert owner.tolist() == [0, 1] and starts.tolist() == [0, 4, 8]
+    assert points[:4].max() == 1 and points[4:, 0].max() == 0.25
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_parts_are_those_of_qhull(seed):
+    rng = np.random.default_rng(seed)
+    clouds = [rng.normal(size=(9, 2)) + rng.normal(size=2) for _ in range(6)]
+    hulls, H = [cloud[ConvexHull(cloud).vertices] for cloud in clouds], random_rows(rng, 4)
+    h = H @ rng.normal(size=2) + rng.uniform(0.1, 2, 4) * np.linalg.norm(H, axis=1)
+    polygons = Polygons.of(hulls)
+    shape = (polygons.points, polygons.starts, *polygons.discs, np.zeros(6, int))
+    points, starts, owner = parts(*shape, readonly(H), readonly(h), np.full(4, -1), 0.0, TOL)
+    for j, hull in enumerate(hulls):
+        rows = np.vstack([ConvexHull(hull).equations, np.column_stack([H, -h])])
+        lengths = np.linalg.norm(rows[:, :2], axis=1)
+        inner = linprog([0, 0, -1], np.column_stack([rows[:, :2], lengths]), -rows[:, 2], bounds=[(None, None)] * 3)
+        if inner.x[2] < 1e-3:
+            continue
+        wanted = ConvexHull(HalfspaceIntersection(rows, inner.x[:2]).intersections).volume
+        found = Polygons(points, starts)[list(owner).index(j)]
+        assert ConvexHull(found).volume == pytest.approx(wanted, rel=1e-9)
+
+
+def test_only_tips_within_reach_are_sharp():
+    H, far = readonly([[0.0, 1], [1e-3, -1], [0, -1], [1, 0]]), readonly([0.5, -0.5, 0.5, 3])
+    none = readonly(np.zeros((0, 2))), readonly([])
+    assert sharp_pairs(H, far, *none, 6.0, 1e-12, 0.1).tolist() == [[0, 1]]  # in (0, 0.5)
+    assert sharp_pairs(H, far + np.array([0, 0.1, 0, 0]), *none, 6.0, 1e-12, 0.1).tolist() == []  # 100 away
+    assert sharp_pairs(H[[0]], far[[0]], H[[1]], far[[1]], 6.0, 1e-12, 0.1).tolist() == [[0, 1]]
+    assert sharp_pairs(H, far, *none, 6.0, 1e-12, 1e-4).tolist() == []
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -5,10 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mireach.datasets import DataSet, make_double_integrator_data, make_pwa_data
+from mireach.datasets import (
+    DataSet,
+    make_double_integrator_data,
+    make_four_tanks_data,
+    make_pwa_data,
+    make_three_tanks_data,
+)
 from mireach.errors import CorruptFileError
 from mireach.mpc import NonlinearMPC, solve_miqp
-from mireach.plants import double_integrator_plant, pwa_plant
+from mireach.plants import double_integrator_plant, four_tanks_plant, pwa_plant
 
 DATA = Path(__file__).parents[1] / "data"
 FIELDS = ("states", "inputs", "costs", "infeasible")
@@ -110,3 +116,33 @@ def test_shipped_double_integrator_data():
         solution = mpc.solve(data.states[i])
         assert solution.cost == pytest.approx(data.costs[i], rel=1e-7)
         np.testing.assert_allclose(solution.inputs[0], data.inputs[i], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "sizes"),
+    [("three_tanks", make_three_tanks_data, (1495, 5)), ("four_tanks", make_four_tanks_data, (2000, 0))],
+)
+def test_shipped_tank_data(name, make, sizes):
+    data, made = DataSet.load(DATA / name / "samples.csv"), make(count=15, progress=False)
+    assert (len(data), len(data.infeasible)) == sizes
+    np.testing.assert_array_equal(made.states, data.states[: len(made)])
+    np.testing.assert_allclose(made.inputs, data.inputs[: len(made)], atol=1e-7)
+    np.testing.assert_allclose(made.costs, data.costs[: len(made)], rtol=1e-9)
+
+
+def test_four_tanks_data_agree_with_a_convex_solver():
+    cp = pytest.importorskip("cvxpy")
+    data, (mode,) = DataSet.load(DATA / "four_tanks" / "samples.csv"), four_tanks_plant().modes
+    Q, R, limits = np.diag([1, 1, 0.1, 0.1]), 5 * np.eye(2), np.array([5, 5, 1.5, 1.2])
+    P = Q
+    for _ in range(2000):  # Riccati recursion
+        K = np.linalg.solve(R + mode.B.T @ P @ mode.B, mode.B.T @ P @ mode.A)
+        P = Q + mode.A.T @ P @ (mode.A - mode.B @ K)
+    for i in (0, 7, 123):
+        x, u = cp.Variable((21, 4)), cp.Variable((20, 2))
+        stages = [cp.quad_form(x[k], Q) + 5 * cp.sum_squares(u[k]) for k in range(20)]
+        rules = [x[k + 1] == mode.A @ x[k] + mode.B @ u[k] for k in range(20)]
+        rules += [x[0] == data.states[i], cp.abs(u) <= 1, *(cp.abs(x[k]) <= limits for k in range(21))]
+        problem = cp.Problem(cp.Minimize(sum(stages) + cp.quad_form(x[20], cp.psd_wrap((P + P.T) / 2))), rules)
+        assert problem.solve() == pytest.approx(data.costs[i], rel=1e-5)
+        np.testing.assert_allclose(u.value[0], data.inputs[i], atol=1e-3)

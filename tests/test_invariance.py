@@ -98,7 +98,7 @@ def test_bounds_decide_a_proof_and_values_a_refutation(monkeypatch):
     assert check_rpi(loop, F, "cells", tol=1e-3).verdict == "proven"
 
 
-@pytest.mark.parametrize("engine_options", [{"bounds": "interval", "time_limit": 1e-4}])
+@pytest.mark.parametrize("engine_options", [{"formulation": "whole", "bounds": "interval", "time_limit": 1e-4}])
 def test_stopped_solver_proves_nothing(engine_options):
     loop = random_loop(1, 3, cuts=3, with_input=True, layers=3, width=5, pool=4, gain=0.8)
     X = loop.system.state_set

@@ -57,6 +57,8 @@ def test_unknown_controls_and_subjects_are_named(subjects):
         lab.subject(3)
     with pytest.raises(ValueError, match="3 states"):
         lab.subject(random_loop(0, n=3))
+    with pytest.raises(ValueError, match="3 states"):
+        lab.subject("three_tanks")
 
 
 def test_whole_numbers_are_rounded_and_others_are_not(subjects):

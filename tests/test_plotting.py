@@ -88,3 +88,13 @@ def test_areas_of_a_study_are_drawn_as_shares_of_x(ax):
     plotting.plot_areas(none, {"pwa": [row, SeedRow(1, 0.1, 10, "refuted", 1, maximal_area=1.0)]}, {"pwa": 4.0})
     labels = [label.get_text() for label in none.get_yticklabels()]
     assert labels[0].endswith(": 1 of 2") and labels[1].endswith("maximal set: 2 of 2")
+
+
+def test_growth_leaves_out_what_a_time_limit_stopped():
+    axes = Figure().subplots(1, 3)
+    networks = [("ReLU", 16, 100, 0.1, 0.01, 1.0), ("ReLU", 64, 1000, 1.0, 0.1, np.inf), ("maxout", 9, 50, 1, 1, 1)]
+    plotting.plot_growth(axes, networks, [("pwa", 1, 0.1, 1.0), ("pwa", 2, 0.2, np.inf)])
+    assert [line.get_label() for line in axes[0].lines] == ["ReLU", "maxout"]
+    milp = {line.get_label(): line.get_ydata() for line in (*axes[1].lines, *axes[2].lines)}
+    assert np.isnan(milp["MILP"]).tolist() == [False, True, False]
+    assert np.isnan(milp["pwa, MILP"]).tolist() == [False, True]

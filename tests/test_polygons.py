@@ -88,10 +88,3 @@ def test_take_join_and_extremes_by_polygon():
     assert P.largest(P.points).tolist() == [[1, 1], [5, 5], [-2, -3]]
     assert P.least(P.points).tolist() == [[0, 0], [5, 5], [-3, -3]]
     assert len(Polygons.of([])) == 0 and len(P.take([]).clip(np.zeros((0, 2)), np.zeros(0), 0.0)[1]) == 0
-
-
-def test_rank_is_the_dimension():
-    thin = np.array([[0, 0], [1, 0], [1, 1e-13], [0, 1e-13]])
-    slanted = np.array([[0, 0], [1, 1], [2, 2]])
-    P = Polygons.of([SQUARE, SQUARE[:2], SQUARE[:1], thin, slanted, 1e-3 * SQUARE, SQUARE[[0, 0, 0]]])
-    assert P.rank(1e-11).tolist() == [2, 1, 0, 1, 1, 2, 0]

@@ -1,13 +1,14 @@
 """`reproduce`: report.json as fixed, every row of the table, the figures."""
 
 import json
+from fractions import Fraction
 from itertools import pairwise
 
 import pytest
 
 import mireach as mr
 from mireach.__main__ import main
-from mireach.case_studies import NAMES, PAPER
+from mireach.case_studies import PAPER, data_file
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def report(folder):
     return json.loads((folder / "report.json").read_text())
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PAPER)
 def test_report_holds_the_fixed_keys(report, name):
     assert report["format"] == "mireach-report/1"
     case = report["cases"][name]
@@ -37,7 +38,7 @@ def test_report_holds_the_fixed_keys(report, name):
     assert case["paper"] == json.loads(json.dumps(PAPER[name]))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PAPER)
 def test_reported_sequence_runs_from_the_safe_set_to_the_terminal_set(report, name):
     case = report["cases"][name]
     sets = [mr.Polytope.from_dict(part) for part in case["reach_sequence"]]
@@ -50,13 +51,13 @@ def test_reported_sequence_runs_from_the_safe_set_to_the_terminal_set(report, na
     assert mr.check_rpi(loop, mr.Polytope.from_dict(case["terminal_set"])).verdict == "proven"
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PAPER)
 def test_all_trajectories_stay_and_enter(report, name):
     counts = report["cases"][name]["trajectories"]
     assert counts["simulated"] == counts["inside_safe_set"] == counts["entered_terminal_set"] == 200
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PAPER)
 def test_reported_maximal_set_is_proven_and_holds_the_safe_set(report, name):
     case = report["cases"][name]
     maximal = mr.Region.from_dict(case["maximal_safe_set"])
@@ -64,6 +65,20 @@ def test_reported_maximal_set_is_proven_and_holds_the_safe_set(report, name):
     assert maximal.area == pytest.approx(case["maximal_safe_set"]["area"])
     assert case["maximal_safe_set"]["outer_area"] - maximal.area < 1e-6 * maximal.area
     assert mr.Region.of(mr.Polytope.from_dict(case["safe_set"])).is_subset(maximal, tol=1e-7)
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_every_set_is_proven_exactly_and_the_certificate_written_is_the_one_shipped(report, folder, name):
+    case = report["cases"][name]
+    assert len(case["proven_exactly"]) == 7 and all(case["proven_exactly"].values())
+    assert {claim["verdict"] for claim in case["claims"].values()} == {"proven"}
+    assert Fraction(case["exact_alpha"]) > 1 and float(Fraction(case["exact_alpha"])) == pytest.approx(case["alpha"])
+    written = folder / name / "certificate.json"
+    assert mr.certificate.verify(written, network=data_file(name, "network.json")).proven
+    claims, shipped = (
+        json.loads(path.read_text())["claims"] for path in (written, data_file(name, "certificate.json"))
+    )
+    assert claims.keys() == shipped.keys()
 
 
 def test_table_has_a_row_for_every_number_of_the_paper(folder):
@@ -81,6 +96,8 @@ def test_table_has_a_row_for_every_number_of_the_paper(folder):
         "1 + 9e-07",
         "Theorem 2",
         "area of the maximal safe set",
+        "Theorem 1, decided by a fraction",
+        "terminal set: proven exactly",
     ):
         assert item in text
 

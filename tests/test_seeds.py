@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from mireach import MaxoutNetwork, MireachError, seeds
-from mireach.case_studies import NAMES, case_study, data_file
+from mireach.case_studies import PAPER, case_study, data_file
+from mireach.datasets import make_four_tanks_data
 from mireach.errors import CorruptFileError
 from mireach.planar import maximal_safe_set
 from mireach.seeds import SeedRow, analyse_seed, choose, load_networks, load_rows, save_rows, study
@@ -45,7 +47,7 @@ def test_choice_prefers_the_paper_s_figures_among_good_losses():
         choose("pwa", [no_criterion])
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PAPER)
 def test_shipped_study_holds_fifty_seeds_and_the_shipped_network_is_the_chosen_one(name):
     rows, networks = load_rows(data_file(name, "seeds.csv")), load_networks(name)
     assert len(rows) >= 50 and set(networks) == {row.seed for row in rows}
@@ -61,7 +63,7 @@ def test_shipped_study_holds_fifty_seeds_and_the_shipped_network_is_the_chosen_o
     )
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PAPER)
 def test_shipped_study_holds_the_maximal_safe_sets(name):
     rows = load_rows(data_file(name, "seeds.csv"))
     for row in rows:
@@ -84,7 +86,8 @@ def test_analysing_a_study_again_changes_no_other_column(tmp_path, monkeypatch):
     said = seeds.reanalyse("pwa", jobs=1, folder=tmp_path, progress=False)
     (found,) = load_rows(tmp_path / "seeds.csv")
     assert found.maximal_area == pytest.approx(row.maximal_area) and found.area_ratio == pytest.approx(row.area_ratio)
-    new = {"maximal_area": 0.0, "area_ratio": 0.0, "maximal_seconds": 0.0}
+    assert found.safe_area == pytest.approx(row.safe_area)
+    new = {"safe_area": 0.0, "maximal_area": 0.0, "area_ratio": 0.0, "maximal_seconds": 0.0}
     assert same(replace(found, **new), replace(row, **new)) and "1 of 1" in said
 
 
@@ -113,6 +116,24 @@ def test_a_study_of_no_seeds_writes_nothing(tmp_path):
     with pytest.raises(ValueError, match="count must be a whole number"):
         seeds.make_study("pwa", count=0, folder=tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_cases_that_are_not_the_paper_s_have_no_study(tmp_path):
+    with pytest.raises(ValueError, match=r"choose one of pwa, double_integrator$"):
+        choose("four_tanks", [ROW])
+    with pytest.raises(ValueError, match=r"choose one of pwa, double_integrator$"):
+        seeds.make_study("three_tanks", folder=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_training_a_case_without_a_study_writes_its_sets(tmp_path, monkeypatch):
+    shipped = case_study("four_tanks").network
+    monkeypatch.setitem(seeds.MAKERS, "four_tanks", partial(make_four_tanks_data, count=20))
+    monkeypatch.setattr(seeds, "train_case", lambda *_, **__: (shipped, 0.0))
+    monkeypatch.setattr(seeds, "terminal_set", partial(seeds.terminal_set, max_steps=1))
+    said = seeds.retrain("four_tanks", folder=tmp_path, progress=False)
+    assert "F_max after 7 iterations; max_steps = 1 came first" in said
+    assert {file.name for file in tmp_path.iterdir()} == {"samples.csv", "network.json", "sets.json"}
 
 
 def test_a_file_without_columns_is_no_study(tmp_path):

@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from . import checker
-from .case_studies import NAMES
+from .case_studies import NAMES, PAPER
 from .errors import MireachError
 
 
@@ -30,7 +30,7 @@ def main(arguments=None):
     task.set_defaults(run=_train)
 
     task = tasks.add_parser("seeds", parents=[quiet], help="train and analyse many networks, ship the best")
-    task.add_argument("case", choices=NAMES)
+    task.add_argument("case", choices=tuple(PAPER))
     task.add_argument("--count", type=int, default=50, help="number of seeds, counted from 0")
     task.add_argument("--jobs", type=int, default=-1, help="processes; -1 for all cores")
     task.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers are used instead")

@@ -1,4 +1,8 @@
-"""The two case studies of Sec. V of [Teichrib2025], wired: plant, network, loop, templates, data, and its numbers."""
+"""The case studies, wired: plant, network, loop, templates, data.
+
+`pwa` and `double_integrator` are those of Sec. V of [Teichrib2025], with its numbers; `three_tanks` and `four_tanks`
+have more than two states, where there are no cells and the MILP is the method.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,23 +11,44 @@ import numpy as np
 
 from .approximation import PWAFit, fit_pwa
 from .datasets import DataSet
+from .errors import CorruptFileError
+from .files import read_json, write_json
 from .loop import ClosedLoop
 from .network import MaxoutNetwork
 from .plants import (
+    FOUR_TANKS_DISTURBANCE,
     INTEGRATOR_DISTURBANCE,
-    INTEGRATOR_INPUT_LIMIT,
     PWA_DISTURBANCE,
-    PWA_INPUT_LIMIT,
+    THREE_TANKS_DISTURBANCE,
     chessboard,
     double_integrator_plant,
+    four_tanks_plant,
     pwa_plant,
+    three_tanks_plant,
 )
 from .polytope import Polytope, box_directions, directions
 from .system import NonlinearSystem, PWASystem
 
-NAMES = ("pwa", "double_integrator")
-SHAPES = {"pwa": {"layers": 3, "width": 3, "pool": 3}, "double_integrator": {"layers": 5, "width": 5, "pool": 5}}
-INPUT_LIMITS = {"pwa": PWA_INPUT_LIMIT, "double_integrator": INTEGRATOR_INPUT_LIMIT}
+PLANTS = {
+    "pwa": pwa_plant,
+    "double_integrator": double_integrator_plant,
+    "three_tanks": three_tanks_plant,
+    "four_tanks": four_tanks_plant,
+}
+NAMES = tuple(PLANTS)
+SHAPES = {
+    "pwa": {"layers": 3, "width": 3, "pool": 3},
+    "double_integrator": {"layers": 5, "width": 5, "pool": 5},
+    "three_tanks": {"layers": 2, "width": 5, "pool": 2},
+    "four_tanks": {"layers": 2, "width": 4, "pool": 3},
+}
+DISTURBANCES = {
+    "pwa": PWA_DISTURBANCE,
+    "double_integrator": INTEGRATOR_DISTURBANCE,
+    "three_tanks": THREE_TANKS_DISTURBANCE,
+    "four_tanks": FOUR_TANKS_DISTURBANCE,
+}
+# What the paper prints for its two cases.
 PAPER = {
     "pwa": {
         "iterations": 1,
@@ -47,6 +72,13 @@ PAPER = {
         "starts": [[5.5, -1.5]],
     },
 }
+STARTS = {
+    **{name: PAPER[name]["starts"] for name in PAPER},
+    "three_tanks": [[5, -8, 0], [-8, -8, 7], [5, 5, -1]],
+    "four_tanks": [[2.5, -2.5, 0, 0], [-2.5, -2.5, -1, -1], [2, 3, 1, -1]],
+}
+EPSILON = 1e-3  # of eq. TerminationFmin, as in the paper
+SETS_FORMAT = "mireach-sets/1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,20 +92,21 @@ class CaseStudy:
         With the disturbance sets of the case.
     network : MaxoutNetwork
         Trained by this project; its last two layers saturate it to U.
-    directions : array (8, 2)
-        Template C of the terminal set.
-    safe_directions : array (l, 2)
-        Template C of F_max: (I, -I) for `pwa`, the same 8 directions for `double_integrator`.
+    directions : array (l, n)
+        Template C of the terminal set: 8 directions in the plane, (I, -I) for `four_tanks`, and (I, -I) with
+        +-(1, 1, 2) for `three_tanks`.
+    safe_directions : array (l, n)
+        Template C of F_max: (I, -I) for `pwa`, otherwise `directions`.
     data : DataSet
         What the network was trained on.
     disturbance_bound : float
         D = {d : |d|_inf <= disturbance_bound}.
-    starts : array (k, 2)
-        The initial states of the paper's figures.
+    starts : array (k, n)
+        The initial states of the paper's figures; elsewhere some states of F_max.
     epsilon : float
         Of eq. TerminationFmin.
     paper : dict
-        The numbers that the paper prints for this case.
+        The numbers that the paper prints for this case; empty for cases that are not the paper's.
     plant : NonlinearSystem or None
         The nonlinear system that `system` approximates.
     fit : PWAFit or None
@@ -101,11 +134,11 @@ class CaseStudy:
 
 
 def case_study(name, network=None):
-    """A case study of the paper.
+    """A case study: one of the paper's two, or one of the two with more states.
 
     Parameters
     ----------
-    name : "pwa" or "double_integrator"
+    name : "pwa", "double_integrator", "three_tanks" or "four_tanks"
     network : MaxoutNetwork, torch module or None
         None is the network that ships with the package.
 
@@ -128,23 +161,24 @@ def case_study(name, network=None):
     require_name(name)
     if network is None:
         network = MaxoutNetwork.load(data_file(name, "network.json"))
-    if name == "pwa":
-        bound, system, plant, fit = PWA_DISTURBANCE, pwa_plant(), None, None
-    else:
-        bound, plant, fit = INTEGRATOR_DISTURBANCE, double_integrator_plant(), double_integrator_fit()
+    bound, plant, fit = DISTURBANCES[name], None, None
+    if name == "double_integrator":
+        plant, fit = double_integrator_plant(), double_integrator_fit()
         system = fit.system().with_disturbance(Polytope.box([-bound, -bound], [bound, bound]))
-    eight = directions(8)
+    else:
+        system = PLANTS[name]()
+    template = _template(name, system.state_size)
     return CaseStudy(
         name=name,
         system=system,
         network=network if isinstance(network, MaxoutNetwork) else MaxoutNetwork.from_torch(network),
-        directions=eight,
-        safe_directions=box_directions(2) if name == "pwa" else eight,
+        directions=template,
+        safe_directions=box_directions(2) if name == "pwa" else template,
         data=DataSet.load(data_file(name, "samples.csv")),
         disturbance_bound=bound,
-        starts=np.array(PAPER[name]["starts"]),
-        epsilon=PAPER[name]["epsilon"],
-        paper=PAPER[name],
+        starts=np.array(STARTS[name], float),
+        epsilon=EPSILON,
+        paper=PAPER.get(name, {}),
         plant=plant,
         fit=fit,
     )
@@ -157,6 +191,36 @@ def double_integrator_fit(cells=3, **options):
     """
     plant = double_integrator_plant()
     return fit_pwa(plant, chessboard(plant.state_set, plant.input_set, cells), **options)
+
+
+def save_sets(path, safe, terminal):
+    """Write F_max and the terminal set, with the numbers of their iterations, to a JSON file."""
+    value = {
+        "format": SETS_FORMAT,
+        "safe_set": {**safe.set.to_dict(), "iterations": safe.iterations},
+        "terminal_set": {**terminal.set.to_dict(), "steps": terminal.steps},
+    }
+    write_json(path, value)
+
+
+def load_sets(name):
+    """The sets of a case with more than two states, which take the MILP minutes to find: (F_max, terminal set).
+
+    They are no proof by themselves: `check_rpi` proves them anew.
+
+    Raises
+    ------
+    CorruptFileError
+        If the file is truncated or holds anything else.
+    FileNotFoundError
+        If the case has no such file.
+    """
+    path = data_file(name, "sets.json")
+    value = read_json(path, SETS_FORMAT)
+    try:
+        return tuple(Polytope.from_dict(value[key]) for key in ("safe_set", "terminal_set"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise CorruptFileError(f"{path} holds no sets: {error!r}; make it again with run.py train {name}") from error
 
 
 def data_file(name, file):
@@ -173,7 +237,17 @@ def data_file(name, file):
     return folder / name / file
 
 
-def require_name(name):
-    """Raise ValueError if there is no case study of this name."""
-    if name not in NAMES:
-        raise ValueError(f"there is no case study {name!r}; choose one of {', '.join(NAMES)}")
+def require_name(name, names=NAMES):
+    """Raise ValueError if `name` is none of `names`."""
+    if name not in names:
+        raise ValueError(f"there is no case study {name!r}; choose one of {', '.join(names)}")
+
+
+def _template(name, n):
+    """Template of the terminal set of case `name`, which has n states: array (l, n)."""
+    if n == 2:
+        return directions(8)
+    if name != "three_tanks":
+        return box_directions(n)
+    levels = np.array([1.0, 1.0, 2.0])  # found by trial: boxes alone shrink slowly, and to a much larger terminal set
+    return np.vstack([box_directions(n), levels, -levels])

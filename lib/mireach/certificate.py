@@ -48,10 +48,6 @@ class Certificate:
     report: Report
     inflation: float
 
-    def __getitem__(self, claim):
-        """The checker's Result about a claim, such as "safe_set"."""
-        return next(result for result in self.report.results if result.claim == claim)
-
     @property
     def alpha(self):
         """alpha of eq. StabCondFmin as a Fraction; None if nothing is claimed of it."""

@@ -111,6 +111,10 @@ class Report:
         every = all(result.verdict == "proven" for result in self.results)
         return every and self.digest in ("as written", "ignored") and self.network is not False
 
+    def __getitem__(self, claim):
+        """The Result about a claim of `CLAIMS`."""
+        return next(one for one in self.results if one.claim == claim)
+
     def __str__(self):
         lines = [f"{one.claim:<13} {one.verdict:<12} {one.reason}" for one in self.results]
         lines.append(f"{'digest':<13} {self.digest}")
@@ -672,14 +676,14 @@ class Claims:
 
     def results(self):
         """One Result a claim, in the order of `CLAIMS`."""
-        for name, claim in self.certificate.claims.items():
+        for key, claim in self.certificate.claims.items():
             try:
-                found = getattr(self, name)(claim)
+                found = getattr(self, key)(claim)
             except Stopped:
                 found = unchecked(f"stopped after {self.seconds:g} s")
             if found[0] == "proven" and claim["verdict"] == "not proven":
                 found = unchecked("the certificate itself does not claim it")
-            self.found[name] = Result(name, *found)
+            self.found[key] = Result(key, *found)
         return tuple(self.found.values())
 
     def inputs(self, claim):
@@ -692,7 +696,8 @@ class Claims:
                 for x in corners:
                     if at(excess, x) > 0:
                         u = self.certificate.network(point(x))
-                        return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U", state(point(x)))
+                        by = about(dot(a, u) - b)
+                        return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U by {by}", state(point(x)))
         return proven(f"{CLAIMS['inputs']}: {len(self._pieces)} pieces")
 
     def safe_set(self, claim):
@@ -794,11 +799,10 @@ class Claims:
             raise Stopped
 
     def _missing(self, *names):
-        """None if these claims are proven, else what is to be said of one that needs them."""
-        for verdict in ("refuted", "not checked"):
-            for name in names:
-                if self.found[name].verdict == verdict:
-                    return verdict, f"{name} is {verdict}", None
+        """None if these claims are proven, else what is to be said of one that rests on them."""
+        for claim in names:
+            if self.found[claim].verdict != "proven":
+                return unchecked(f"rests on {claim}, which is {self.found[claim].verdict}")
         return None
 
     def _by_solver(self, k=None, j=None):
@@ -856,13 +860,13 @@ class Claims:
 
     def _beyond(self, k):
         """None if R_k lies in F_max and in X, where the cells are."""
-        for name, rows in (("F_max", self.sets[0]), ("X", self.certificate.state_set)):
+        for place, rows in (("F_max", self.sets[0]), ("X", self.certificate.state_set)):
             for a, b in rows:
                 self._clock()
                 line = half_plane(a, b)
                 for x in self._polygons[k]:
                     if at(line, x) > 0:
-                        return refuted(f"x = {show(point(x))} lies in R_{k}, but not in {name}", state(point(x)))
+                        return refuted(f"x = {show(point(x))} lies in {name(k)}, but not in {place}", state(point(x)))
         return None
 
     def _support(self, corners, a):
@@ -916,7 +920,8 @@ class Claims:
         after = self._replay(k, number, x, d)
         step = {"state": texts(x), "mode": number + 1, "disturbance": texts(d), "after": texts(after)}
         leads = f"mode {number + 1} and d = {show(d)} lead to {show(after)}"
-        return refuted(f"x = {show(x)} lies in R_{k}; {leads}, outside R_{j}", step)
+        outside = f"outside {name(j)} by {about(dot(a, after) - b)}"
+        return refuted(f"x = {show(x)} lies in {name(k)}; {leads}, {outside}", step)
 
     def _replay(self, k, number, x, d):
         """A x + B Phi(x) + p + d from the definition; None if x is not in R_k or not in the region of the mode."""
@@ -1044,6 +1049,11 @@ def largest(g, size):
 def texts(values):
     """Fractions as text, without rounding; None for one that would fill pages."""
     return [str(value) if max(abs(value.numerator), value.denominator) < 10**MOST_DIGITS else None for value in values]
+
+
+def name(k):
+    """What R_k is called."""
+    return f"R_{k}" if k else "F_max"
 
 
 def state(x):

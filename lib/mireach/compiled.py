@@ -1,4 +1,4 @@
-"""The two inner loops of the iterations in the plane that are worth compiling.
+"""The inner loops of the plane that are worth compiling.
 
 numba compiles them when they are first used, which takes some seconds, and keeps the result on disk.
 """
@@ -99,8 +99,434 @@ def around(points):
     return points[np.array([np.argmin(along), np.argmax(along)])]
 
 
+# -- cutting one polygon ------------------------------------------------------------------------------
+
+
 @njit(cache=True)
-def highest(points, starts, centres, radii, M, c, mode, heights, spread, H, h, tol, V):
+def _cut(polygon, size, a0, a1, b, slack, touch, part, excess):
+    """The part a x <= b + slack of a convex polygon; where that is empty, its corners with a x <= b + touch.
+
+    The corners are polygon[:size]; those of the part are written to `part`, and their number is returned: -1 where
+    nothing is cut off and `part` is left alone. A corner that is cut anew lies off its edge by rounding alone.
+    """
+    if 2 * size > len(part):
+        raise ValueError("a cell has lost its convexity by rounding")
+    least, most = np.inf, -np.inf
+    for t in range(size):
+        excess[t] = a0 * polygon[t, 0] + a1 * polygon[t, 1] - b
+        least, most = min(least, excess[t]), max(most, excess[t])
+    if most <= slack:
+        return -1
+    kept = 0
+    if least > slack:
+        for t in range(size):
+            if excess[t] <= touch:
+                part[kept, 0], part[kept, 1] = polygon[t, 0], polygon[t, 1]
+                kept += 1
+        return kept
+    for t in range(size):
+        after = t + 1 if t + 1 < size else 0
+        if excess[t] <= slack:
+            part[kept, 0], part[kept, 1] = polygon[t, 0], polygon[t, 1]
+            kept += 1
+        if (excess[t] <= slack) != (excess[after] <= slack):
+            share = min(max((excess[t] - slack) / (excess[t] - excess[after]), 0.0), 1.0)
+            x = polygon[t, 0] + share * (polygon[after, 0] - polygon[t, 0])
+            y = polygon[t, 1] + share * (polygon[after, 1] - polygon[t, 1])
+            end = t if excess[t] <= slack else after
+            if polygon[end, 0] != x or polygon[end, 1] != y:
+                part[kept, 0], part[kept, 1] = x, y
+                kept += 1
+    return kept
+
+
+@njit(cache=True)
+def _unit_rows(H, h):
+    """The rows H x <= h with normals of length 1; those of zeros stay."""
+    H, h = H.copy(), h.copy()
+    for r in range(len(h)):
+        length = np.hypot(H[r, 0], H[r, 1])
+        if length > 0:
+            H[r, 0] /= length
+            H[r, 1] /= length
+            h[r] /= length
+    return H, h
+
+
+@njit(cache=True)
+def _grown(array, needed):
+    """The array (n, k), or a longer copy of it that has room for `needed` rows."""
+    if needed <= len(array):
+        return array
+    longer = np.empty((max(needed, 2 * len(array)), array.shape[1]), array.dtype)
+    for i in range(len(array)):
+        for j in range(array.shape[1]):
+            longer[i, j] = array[i, j]
+    return longer
+
+
+@njit(cache=True)
+def _copy(source, first, count, target, at):
+    """target[at : at + count] = source[first : first + count] for points; numba compiles this faster than slices."""
+    for t in range(count):
+        target[at + t, 0], target[at + t, 1] = source[first + t, 0], source[first + t, 1]
+
+
+@njit(cache=True)
+def _most(starts):
+    """The largest number of corners of a polygon."""
+    most = 0
+    for i in range(len(starts) - 1):
+        most = max(most, starts[i + 1] - starts[i])
+    return most
+
+
+# -- cells --------------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corner, shaped):
+    """The pieces of polygons on which a maxout network is affine, with K, g and an error of each.
+
+    Parameters
+    ----------
+    points, starts : array (T, 2) and (P + 1,) of int
+        Convex polygons, as in `polygons.Polygons`.
+    weight, bias : array, flat
+        Of all layers one after the other, the rows of each in turn; the affine output is the last one, of pool 1.
+    sizes, pools : array (l + 2,) and (l + 1,) of int
+        2, the neurons of every layer, and the outputs; the channels of a neuron in every layer.
+    reach : float
+        Largest coordinate.
+    touch : float
+        A channel that is ahead of all others by no more than this (a length where channels are steeper than 1) does
+        not get a piece.
+    corner : float
+        How far rounding moves a corner off the edge on which it is made (a length).
+    shaped : int
+        Cuts that the polygons themselves count for.
+
+    Returns
+    -------
+    points : array (S, 2)
+        The corners of all pieces, one piece after the other.
+    shape : array (N, 3) of int
+        How many corners each piece has, the polygon that it is a part of, and how many cuts have shaped it.
+    values : array (N, 4 m)
+        K (two numbers), g and the error of each output in turn: |K x + g - Phi(x)| is at most the error wherever x
+        lies within the number of cuts times `corner` of the piece.
+
+    Notes
+    -----
+    Depth first: one polygon goes through the neurons, the parts that other channels win wait on a stack. Memory
+    grows with the pieces alone, and pieces that follow each other lie near each other.
+
+    The pieces cover the polygons, but for slits: each cut may lose what lies within `corner` of an edge. The error
+    adds up along the layers. With E and s the errors and sizes |K| |x| + |g| of a neuron's inputs and u the rounding
+    unit, a channel has the error |W| (E + (n + 4) 2 u s) + ..., and its neuron the largest of them, plus what the
+    winner is behind at the corners of the piece (the difference is convex, so it is largest there), plus what that
+    changes within the slits.
+    """
+    layers = len(pools)
+    first_neuron, first_row = np.zeros(layers + 2, np.int64), np.zeros(layers + 2, np.int64)
+    first_weight = np.zeros(layers + 1, np.int64)
+    first_neuron[1] = first_row[1] = 2  # x itself comes first, as two neurons without a choice
+    for l in range(layers):  # noqa: E741
+        first_neuron[l + 2] = first_neuron[l + 1] + sizes[l + 1]
+        first_row[l + 2] = first_row[l + 1] + sizes[l + 1] * pools[l]
+        first_weight[l + 1] = first_weight[l] + sizes[l] * sizes[l + 1] * pools[l]
+    neurons, rows, widest, pool = first_neuron[layers + 1], first_row[layers + 1], max(sizes), max(pools)
+    layer_of = np.zeros(neurons, np.int64)
+    for l in range(layers):  # noqa: E741
+        layer_of[first_neuron[l + 1] : first_neuron[l + 2]] = l
+    affine, error, slope = np.zeros((rows, 3)), np.zeros(rows), np.zeros(rows)  # K and g of every channel
+    affine[0, 0] = affine[1, 1] = slope[0] = slope[1] = 1.0
+    won, behind = np.zeros(neurons, np.int64), np.zeros(neurons)  # the winning channel of each neuron, what it lacks
+    inputs, doubt = np.empty((widest, 3)), np.empty(widest)
+    room = 4 * (_most(starts) + rows)
+    polygon, part, spare, excess = np.empty((room, 2)), np.empty((room, 2)), np.empty((room, 2)), np.empty(room)
+    z, lead, active = np.empty((room, pool)), np.empty(pool), np.empty(pool, np.bool_)
+    waiting, waiting_points, waiting_behind = np.empty((64, 5), np.int64), np.empty((512, 2)), np.empty((64, 1))
+    found, found_points, found_values = np.empty((64, 3), np.int64), np.empty((512, 2)), np.empty((64, 4 * sizes[-1]))
+    depth, top, count, last = 0, 0, 0, 0
+    for i in range(len(starts) - 2, -1, -1):
+        size = starts[i + 1] - starts[i]
+        waiting, waiting_points = _grown(waiting, depth + 1), _grown(waiting_points, top + size)
+        waiting_behind = _grown(waiting_behind, depth + 1)
+        _copy(points, starts[i], size, waiting_points, top)
+        waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = 1, 1, shaped
+        waiting[depth, 3], waiting[depth, 4], waiting_behind[depth, 0] = i, size, 0.0
+        depth, top = depth + 1, top + size
+    while depth:
+        depth -= 1
+        neuron, row, cuts = waiting[depth, 0], waiting[depth, 1], waiting[depth, 2]
+        owner, size = waiting[depth, 3], waiting[depth, 4]
+        top -= size
+        _copy(waiting_points, top, size, polygon, 0)
+        won[neuron], behind[neuron] = row, waiting_behind[depth, 0]
+        while True:
+            neuron += 1
+            layer = layer_of[neuron]
+            before, channels = sizes[layer], pools[layer]
+            if neuron == first_neuron[layer + 1]:  # all inputs of this layer are settled
+                start, channels_before = first_neuron[layer], pools[layer - 1] if layer else 1
+                rounding = 2.0**-52 * (before + 4)
+                for i in range(before):
+                    own = won[start + i]
+                    inputs[i, 0], inputs[i, 1], inputs[i, 2] = affine[own, 0], affine[own, 1], affine[own, 2]
+                    own, worst, extent = first_row[layer] + i * channels_before, 0.0, 0.0
+                    for r in range(own, own + channels_before):
+                        worst, extent = max(worst, error[r]), max(extent, slope[r] * reach + abs(affine[r, 2]))
+                    doubt[i] = worst + behind[start + i] + rounding * extent
+                at = first_weight[layer]
+                for r in range(sizes[layer + 1] * channels):
+                    k0, k1, g, unsure = 0.0, 0.0, 0.0, 0.0
+                    for i in range(before):
+                        w = weight[at + i]
+                        k0 += w * inputs[i, 0]
+                        k1 += w * inputs[i, 1]
+                        g += w * inputs[i, 2]
+                        unsure += abs(w) * doubt[i]
+                    at += before
+                    to = first_row[layer + 1] + r
+                    offset = bias[to - 2]
+                    affine[to, 0], affine[to, 1], affine[to, 2] = k0, k1, g + offset
+                    error[to], slope[to] = unsure * (1 + rounding) + rounding * abs(offset), abs(k0) + abs(k1)
+                if layer == layers - 1:
+                    break
+            base = first_row[layer + 1] + (neuron - first_neuron[layer + 1]) * channels
+            steepest = 0.0
+            for c in range(channels):
+                steepest = max(steepest, slope[base + c])
+                lead[c] = np.inf
+            within_slits = 2 * steepest * (cuts + channels) * corner
+            for t in range(size):
+                highest_here = -np.inf
+                for c in range(channels):
+                    z[t, c] = _at(affine, base + c, polygon, t)
+                    highest_here = max(highest_here, z[t, c])
+                for c in range(channels):
+                    lead[c] = min(lead[c], z[t, c] - highest_here)
+            best = 0
+            for c in range(1, channels):
+                if lead[c] > lead[best]:
+                    best = c
+            if lead[best] < -touch:
+                left = _contenders(polygon, size, affine, base, channels, touch, part, spare, excess, active)
+                if left > 1:
+                    # where three channels meet, rounding may part what each of them wins: the parts overlap there
+                    overlap = corner if left > 2 else 0.0
+                    for j in range(channels - 1, -1, -1):
+                        if not active[j]:
+                            continue
+                        kept = _won(polygon, size, affine, base, channels, j, active, overlap, part, spare, excess)
+                        if not kept:
+                            continue
+                        waiting, waiting_points = _grown(waiting, depth + 1), _grown(waiting_points, top + kept)
+                        waiting_behind = _grown(waiting_behind, depth + 1)
+                        _copy(part, 0, kept, waiting_points, top)
+                        waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = neuron, base + j, cuts + left - 1
+                        waiting[depth, 3], waiting[depth, 4] = owner, kept
+                        waiting_behind[depth, 0] = _lag(part, kept, affine, base, channels, j) + within_slits
+                        depth, top = depth + 1, top + kept
+                    break
+                for c in range(channels):
+                    if active[c]:
+                        best = c
+            won[neuron], behind[neuron] = base + best, within_slits - lead[best]
+        if neuron != first_neuron[layers]:
+            continue
+        found, found_points = _grown(found, count + 1), _grown(found_points, last + size)
+        found_values = _grown(found_values, count + 1)
+        found[count, 0], found[count, 1], found[count, 2] = size, owner, cuts
+        _copy(polygon, 0, size, found_points, last)
+        for r in range(sizes[-1]):
+            row = first_row[layers] + r
+            for i in range(3):
+                found_values[count, 4 * r + i] = affine[row, i]
+            found_values[count, 4 * r + 3] = error[row]
+        count, last = count + 1, last + size
+    return found_points[:last].copy(), found[:count].copy(), found_values[:count].copy()
+
+
+@njit(cache=True)
+def _at(affine, row, polygon, t):
+    """K x + g of a channel at a corner."""
+    return affine[row, 0] * polygon[t, 0] + affine[row, 1] * polygon[t, 1] + affine[row, 2]
+
+
+@njit(cache=True)
+def _won(polygon, size, affine, base, channels, j, active, overlap, part, spare, excess):
+    """The part of a polygon on which channel j is not below the other active ones, to `part`: its number of corners.
+
+    `overlap` is 0 or the rounding of a corner: the part is then wider by what rounding may do to its edges.
+    """
+    _copy(polygon, 0, size, part, 0)
+    for i in range(channels):
+        if i == j or not active[i] or not size:
+            continue
+        a0, a1 = affine[base + i, 0] - affine[base + j, 0], affine[base + i, 1] - affine[base + j, 1]
+        b, steepness = affine[base + j, 2] - affine[base + i, 2], max(np.hypot(a0, a1), 1.0)
+        slack = 0.0
+        if overlap:
+            steep = abs(affine[base + i, 0]) + abs(affine[base + i, 1]) + abs(affine[base + j, 0])
+            steep += abs(affine[base + j, 1])
+            offsets = abs(affine[base + i, 2]) + abs(affine[base + j, 2])
+            slack = overlap * (1 + steep / steepness) + 2.0**-50 * offsets / steepness
+        kept = _cut(part, size, a0 / steepness, a1 / steepness, b / steepness, slack, slack, spare, excess)
+        if kept >= 0:
+            _copy(spare, 0, kept, part, 0)
+            size = kept
+    return size
+
+
+@njit(cache=True)
+def _contenders(polygon, size, affine, base, channels, touch, part, spare, excess, active):
+    """Leave those channels `active` that are somewhere ahead of all others by more than `touch`: their number.
+
+    One leaves at a time, the last one first: of equal channels the first stays, and whatever leaves is nowhere ahead
+    of those that stay by more than `touch`. At least one stays.
+    """
+    left = channels
+    for c in range(channels):
+        active[c] = True
+    for j in range(channels - 1, -1, -1):
+        if left == 1:
+            break
+        kept, ahead = _won(polygon, size, affine, base, channels, j, active, 0.0, part, spare, excess), np.inf
+        for i in range(channels):
+            if i == j or not active[i]:
+                continue
+            a0, a1 = affine[base + j, 0] - affine[base + i, 0], affine[base + j, 1] - affine[base + i, 1]
+            b, most = affine[base + j, 2] - affine[base + i, 2], -np.inf
+            for t in range(kept):
+                most = max(most, a0 * part[t, 0] + a1 * part[t, 1] + b)
+            ahead = min(ahead, most / max(np.hypot(a0, a1), 1.0))
+        if ahead <= touch:
+            active[j] = False
+            left -= 1
+    return left
+
+
+@njit(cache=True)
+def _lag(polygon, size, affine, base, channels, j):
+    """How far channel j is behind the largest one at the corners of a polygon, at most."""
+    most = 0.0
+    for t in range(size):
+        own = _at(affine, base + j, polygon, t)
+        for c in range(channels):
+            most = max(most, _at(affine, base + c, polygon, t) - own)
+    return most
+
+
+# -- asking -------------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def sharp_pairs(H, h, walls_H, walls_h, reach, parallel, sharp):
+    """Pairs of half-planes whose strip between them narrows to a sharp tip, unless that is certainly out of reach.
+
+    Parameters
+    ----------
+    H, h : array (l, 2) and (l,)
+    walls_H, walls_h : array (w, 2) and (w,)
+        Rows like them; pairs of two walls are left out.
+    reach : float
+        Tips farther than this from the origin do not matter.
+    parallel, sharp : float
+        Between which the sine of the angle at the tip lies.
+
+    Returns
+    -------
+    array (p, 2) of int
+        The two rows; those from l on are walls.
+    """
+    rows, count = len(h), 0
+    pairs = np.empty((4, 2), np.int64)
+    H, h = _unit_rows(np.concatenate((H, walls_H)), np.concatenate((h, walls_h)))
+    for r in range(rows):
+        for s in range(r + 1, len(h)):
+            a, b, c, d = H[r, 0], H[r, 1], H[s, 0], H[s, 1]
+            turn = abs(a * d - b * c)
+            if turn > sharp or turn <= parallel or a * c + b * d >= 0:
+                continue
+            far = 2 * reach * turn + 1e-14 * (abs(h[r]) + abs(h[s]))
+            if abs(h[r] * d - h[s] * b) <= far and abs(a * h[s] - c * h[r]) <= far:
+                pairs = _grown(pairs, count + 1)
+                pairs[count, 0], pairs[count, 1] = r, s
+                count += 1
+    return pairs[:count]
+
+
+@njit(cache=True)
+def _side(x, y, radius, own, H, h, only, touch):
+    """1 if a disc in which mode `own` acts lies within half-planes, rows of length 1, -1 if it misses them, else 0."""
+    side = 1
+    for r in range(len(h)):
+        if only[r] < 0 or only[r] == own:
+            beyond = H[r, 0] * x + H[r, 1] * y - h[r]
+            if beyond > radius + touch:
+                return -1
+            if beyond > -radius:
+                side = 0
+    return side
+
+
+@njit(cache=True)
+def _clip(polygon, size, x, y, radius, own, H, h, only, slack, touch, part, excess):
+    """Cut polygon[:size], which lies in a disc, by half-planes, in its place: the number of corners that are left."""
+    for r in range(len(h)):
+        if (only[r] < 0 or only[r] == own) and H[r, 0] * x + H[r, 1] * y - h[r] > -radius:
+            kept = _cut(polygon, size, H[r, 0], H[r, 1], h[r], slack, touch, part, excess)
+            if kept >= 0:
+                _copy(part, 0, kept, polygon, 0)
+                size = kept
+    return size
+
+
+@njit(cache=True)
+def parts(points, starts, centres, radii, mode, H, h, only, slack, touch):
+    """The parts of N convex polygons in {x : H x <= h}.
+
+    Parameters
+    ----------
+    points, starts, centres, radii, mode, H, h, only, slack, touch
+        As in `highest`.
+
+    Returns
+    -------
+    points, starts : array (S, 2) and (p + 1,) of int
+    owner : array (p,) of int
+        The polygon that each part comes from.
+    """
+    H, h = _unit_rows(H, h)
+    room = 2 * (_most(starts) + 2 * len(h)) if len(mode) else 0
+    polygon, spare, excess = np.empty((room, 2)), np.empty((room, 2)), np.empty(room)
+    found, ends, owner, count = (
+        np.empty((len(points), 2)),
+        np.zeros(len(mode) + 1, np.int64),
+        np.empty(len(mode), np.int64),
+        0,
+    )
+    for j in range(len(mode)):
+        x, y, radius = centres[j, 0], centres[j, 1], radii[j]
+        side = _side(x, y, radius, mode[j], H, h, only, touch)
+        if side < 0:
+            continue
+        size = starts[j + 1] - starts[j]
+        _copy(points, starts[j], size, polygon, 0)
+        if side == 0:
+            size = _clip(polygon, size, x, y, radius, mode[j], H, h, only, slack, touch, spare, excess)
+        if size:
+            found = _grown(found, ends[count] + size)
+            _copy(polygon, 0, size, found, ends[count])
+            ends[count + 1], owner[count] = ends[count] + size, j
+            count += 1
+    return found[: ends[count]].copy(), ends[: count + 1].copy(), owner[:count].copy()
+
+
+@njit(cache=True)
+def highest(points, starts, centres, radii, mode, H, h, only, slack, touch, M, c, error, spread, heights, tops, V):
     """max v (M_j x + c_j) + h of D over the parts of N convex polygons in {x : H x <= h}.
 
     Parameters
@@ -109,81 +535,62 @@ def highest(points, starts, centres, radii, M, c, mode, heights, spread, H, h, t
         The polygons, as in `polygons.Polygons`.
     centres, radii : array (N, 2) and (N,)
         Discs around them.
-    M, c, mode : array (N, 2, 2), (N, 2) and (N,) of int
-        The map on each polygon, and whose disturbance acts there.
-    heights : array (N, k)
-        max v (M_j x + c_j) over each whole polygon.
-    spread : array (s, k)
-        h of D^(i) along the rows of V.
+    mode : array (N,) of int
     H, h : array (l, 2) and (l,)
         Rows of any length.
-    tol : float
+    only : array (l,) of int
+        The mode whose polygons a row cuts; -1 for all.
+    slack : float
+        Polygons are cut this far beyond each row (a length).
+    touch : float
         Closed sets that come this close (a length) touch.
+    M, c : array (N, 2, 2) and (N, 2)
+        The map on each polygon.
+    error : array (N, 2)
+        Of the map, by component.
+    spread : array (s, k)
+        h of D^(i) along the rows of V.
+    heights, tops : array (N, k)
+        The maximum over each whole polygon, and with its error.
     V : array (k, 2)
 
     Returns
     -------
     value : array (k,)
         -inf if no polygon meets the set.
+    top : array (k,)
+        The largest value with the error of its polygon.
     owner : array (k,) of int
-        The polygon in which it is attained.
+        The polygon that has it.
     """
-    rows, directions = len(h), len(V)
-    value, owner = np.full(directions, -np.inf), np.zeros(directions, np.int64)
-    H, h = H.copy(), h.copy()
-    for r in range(rows):
-        length = np.hypot(H[r, 0], H[r, 1])
-        if length > 0:
-            H[r] /= length
-            h[r] /= length
-    room = 2 * (np.diff(starts).max() + 2 * rows)
-    polygon, part, excess, cuts = np.empty((room, 2)), np.empty((room, 2)), np.empty(room), np.empty(rows)
+    directions = len(V)
+    top, value, owner = np.full(directions, -np.inf), np.full(directions, -np.inf), np.zeros(directions, np.int64)
+    H, h = _unit_rows(H, h)
+    room = 2 * (_most(starts) + 2 * len(h))
+    polygon, part, excess = np.empty((room, 2)), np.empty((room, 2)), np.empty(room)
     for j in range(len(mode)):
-        worst = -np.inf
-        for r in range(rows):
-            cuts[r] = H[r, 0] * centres[j, 0] + H[r, 1] * centres[j, 1] - h[r]
-            worst = max(worst, cuts[r])
-            if worst > radii[j] + tol:
+        for k in range(directions):
+            if tops[j, k] > top[k]:
                 break
-        if worst > radii[j] + tol:
+        else:
             continue
-        if worst <= -radii[j]:
+        x, y, radius = centres[j, 0], centres[j, 1], radii[j]
+        side = _side(x, y, radius, mode[j], H, h, only, touch)
+        if side > 0:
             for k in range(directions):
-                reached = heights[j, k] + spread[mode[j], k]
-                if reached > value[k]:
-                    value[k], owner[k] = reached, j
+                if tops[j, k] > top[k]:
+                    top[k], value[k], owner[k] = tops[j, k], heights[j, k], j
+        if side != 0:
             continue
         size = starts[j + 1] - starts[j]
-        polygon[:size] = points[starts[j] : starts[j + 1]]
-        for r in range(rows):
-            if cuts[r] <= -radii[j]:
-                continue
-            outside = 0
-            for t in range(size):
-                excess[t] = H[r, 0] * polygon[t, 0] + H[r, 1] * polygon[t, 1] - h[r]
-                outside += excess[t] > tol
-            if outside == 0:
-                continue
-            kept = 0
-            if 2 * size > room:
-                raise ValueError("a cell has lost its convexity by rounding")
-            for t in range(size):
-                after = t + 1 if t + 1 < size else 0
-                if excess[t] <= tol:
-                    part[kept] = polygon[t]
-                    kept += 1
-                if (excess[t] <= tol) != (excess[after] <= tol):
-                    share = min(max(excess[t] / (excess[t] - excess[after]), 0.0), 1.0)
-                    part[kept, 0] = polygon[t, 0] + share * (polygon[after, 0] - polygon[t, 0])
-                    part[kept, 1] = polygon[t, 1] + share * (polygon[after, 1] - polygon[t, 1])
-                    kept += 1
-            size = kept
-            polygon, part = part, polygon
+        _copy(points, starts[j], size, polygon, 0)
+        size = _clip(polygon, size, x, y, radius, mode[j], H, h, only, slack, touch, part, excess)
         for t in range(size):
             x = M[j, 0, 0] * polygon[t, 0] + M[j, 0, 1] * polygon[t, 1] + c[j, 0]
             y = M[j, 1, 0] * polygon[t, 0] + M[j, 1, 1] * polygon[t, 1] + c[j, 1]
             for k in range(directions):
                 reached = V[k, 0] * x + V[k, 1] * y + spread[mode[j], k]
-                if reached > value[k]:
-                    value[k], owner[k] = reached, j
-    return value, owner
+                above = reached + abs(V[k, 0]) * error[j, 0] + abs(V[k, 1]) * error[j, 1]
+                if above > top[k]:
+                    top[k], value[k], owner[k] = above, reached, j
+    return value, top, owner

@@ -7,13 +7,17 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 from tqdm.auto import tqdm
 
 from .checks import real_array, require_columns
 from .errors import CorruptFileError, MireachError
 from .files import END, write_whole
 from .mpc import NonlinearMPC, solve_miqp
-from .plants import double_integrator_plant, pwa_plant
+from .plants import double_integrator_plant, four_tanks_plant, pwa_plant, three_tanks_plant
+
+THREE_TANKS_HORIZON, THREE_TANKS_Q, THREE_TANKS_R = 8, (0.1, 0.1, 1.0), 10.0
+FOUR_TANKS_HORIZON, FOUR_TANKS_Q, FOUR_TANKS_R = 20, (1.0, 1.0, 0.1, 0.1), 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +105,7 @@ def make_pwa_data(seed=0, count=1000, progress=True, jobs=1):
     -------
     DataSet
     """
-    lower, upper = pwa_plant().state_set.bounding_box()
-    states = np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
-    return _collect(states, _solve_pwa, progress, jobs)
+    return _collect(_uniform(pwa_plant().state_set, seed, count), _solve_pwa, progress, jobs)
 
 
 def make_double_integrator_data(grid=30, progress=True, jobs=1):
@@ -126,6 +128,47 @@ def make_double_integrator_data(grid=30, progress=True, jobs=1):
     return _collect(states, _solve_nonlinear, progress, jobs)
 
 
+def make_three_tanks_data(seed=0, count=1500, progress=True, jobs=1):
+    """The MIQP of the three tanks at random states.
+
+    The middle level counts most: Q = diag(0.1, 0.1, 1), R = 10 I, N = 8, and P is the cost of the regulator that
+    is optimal where the upper pipes are dry. Constraints are those of the plant.
+
+    Parameters
+    ----------
+    seed, count, progress, jobs
+        As in `make_pwa_data`.
+
+    Returns
+    -------
+    DataSet
+    """
+    return _collect(_uniform(three_tanks_plant().state_set, seed, count), _solve_three_tanks, progress, jobs)
+
+
+def make_four_tanks_data(seed=0, count=2000, progress=True, jobs=1):
+    """The QP of the four tanks at random states: Q = diag(1, 1, 0.1, 0.1), R = 5 I, N = 20, P of the optimal regulator.
+
+    Parameters
+    ----------
+    seed, count, progress, jobs
+        As in `make_pwa_data`.
+
+    Returns
+    -------
+    DataSet
+    """
+    return _collect(_uniform(four_tanks_plant().state_set, seed, count), _solve_four_tanks, progress, jobs)
+
+
+MAKERS = {
+    "pwa": make_pwa_data,
+    "double_integrator": make_double_integrator_data,
+    "three_tanks": make_three_tanks_data,
+    "four_tanks": make_four_tanks_data,
+}
+
+
 def _solve_pwa(states, show):
     system = pwa_plant()
     return [solve_miqp(system, x) for x in show(states)]
@@ -134,6 +177,27 @@ def _solve_pwa(states, show):
 def _solve_nonlinear(states, show):
     mpc = NonlinearMPC(double_integrator_plant())
     return [mpc.solve(x) for x in show(states)]
+
+
+def _solve_three_tanks(states, show):
+    return _solve_regulation(three_tanks_plant(), THREE_TANKS_HORIZON, THREE_TANKS_Q, THREE_TANKS_R, states, show)
+
+
+def _solve_four_tanks(states, show):
+    return _solve_regulation(four_tanks_plant(), FOUR_TANKS_HORIZON, FOUR_TANKS_Q, FOUR_TANKS_R, states, show)
+
+
+def _solve_regulation(system, horizon, q, r, states, show):
+    """Solutions with Q = diag(q), R = r I, and as P the cost to go of the first mode without constraints."""
+    first, Q, R = system.modes[0], np.diag(q), r * np.eye(system.input_size)
+    P = solve_discrete_are(first.A, first.B, Q, R)
+    return [solve_miqp(system, x, horizon, Q, R, P) for x in show(states)]
+
+
+def _uniform(box, seed, count):
+    """Random states of a box: array (count, n)."""
+    lower, upper = box.bounding_box()
+    return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
 
 
 def _collect(states, solve, progress, jobs):

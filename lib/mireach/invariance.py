@@ -26,7 +26,9 @@ class RPICheck:
     ----------
     verdict : "proven", "refuted" or "unknown"
     margin : array (l,)
-        h - h of R_1(F) along H, from the proven bound; negative where a facet is not shown to hold.
+        At most h - h of R_1(F) along H, from the proven bound; negative where a facet is not shown to hold.
+        The MILP looks no further than is needed to prove a facet, so that its positive margins may be far
+        smaller than the distance that there is; the cells give that.
     witness : Witness or None
         A step that leaves F, where the verdict is "refuted"; no step but the state alone, where F has states
         outside X.
@@ -191,7 +193,7 @@ def check_rpi(loop, F, engine=None, *, tol=None, **options):
             f"F holds states outside the state set, beyond its row {row + 1}, where the loop has no successor",
         )
     try:
-        found, stopped = support(loop, F, F.H, engine=engine, **options), ""
+        found, stopped = _at_most(loop, F, F.H, F.h, engine, options), ""
     except SolverStopped as stop:
         found, stopped = stop.support, f"; {stop}"
     margin = F.h - found.bound
@@ -401,7 +403,7 @@ def contraction(loop, R, centre="origin", engine=None, *, largest=2.0, accuracy=
 
     def holds(alpha):
         grown = R.scale(alpha, c)
-        return grown.is_subset(X) and (support(loop, grown, R.H, engine=engine, **options).bound <= R.h).all()
+        return grown.is_subset(X) and (_at_most(loop, grown, R.H, R.h, engine, options).bound <= R.h).all()
 
     low, high = 1.0, largest
     while high - low > accuracy:
@@ -520,7 +522,13 @@ def _require_own(excess, tol):
 def _holds_images(loop, sets, engine, options):
     """Whether R_1 of each set lies in the next, to within what engines differ by."""
     tol = max(RESOLUTION.values())
-    return all((support(loop, F, G.H, engine=engine, **options).bound <= G.h + tol).all() for F, G in pairwise(sets))
+    return all((_at_most(loop, F, G.H, G.h, engine, options).bound <= G.h + tol).all() for F, G in pairwise(sets))
+
+
+def _at_most(loop, F, V, limit, engine, options):
+    """`support` where only "is it at most `limit`?" is asked: the MILP then settles most rows without an optimum."""
+    only = {"cutoff": limit} if engine == "milp" or (engine is None and default_engine(loop) == "milp") else {}
+    return support(loop, F, V, engine=engine, **only, **options)
 
 
 def _standing(loop, x):

@@ -474,7 +474,8 @@ def subject(case):
     require_kind(case, (CaseStudy, ClosedLoop), "case")
     if isinstance(case, ClosedLoop):
         return _loop_subject(case)
-    return {"pwa": _pwa_subject, "double_integrator": _integrator_subject}[case.name](case)
+    own = {"pwa": _pwa_subject, "double_integrator": _integrator_subject}
+    return own[case.name](case) if case.name in own else _loop_subject(case.loop)
 
 
 def _loop_subject(loop):

@@ -7,6 +7,7 @@ import numpy as np
 
 from .errors import SolverError
 
+MIP_TOLERANCE = 1e-8  # feasibility in a MILP; `engines.bounds.SAFETY` has to stay far above it
 TOLERANCE = 1e-9  # HiGHS keeps constraints and reduced costs to within this, in units of the row
 
 DUAL, PRIMAL = 1, 4  # HiGHS's numbers for its simplex methods; the dual one is its default
@@ -15,6 +16,7 @@ CONCLUSIVE = (
     highspy.HighsModelStatus.kInfeasible,
     highspy.HighsModelStatus.kUnbounded,
 )
+STOPPED = (highspy.HighsModelStatus.kTimeLimit, highspy.HighsModelStatus.kSolutionLimit)
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,33 @@ class Optimum:
     point: np.ndarray | None
 
 
+@dataclass(frozen=True)
+class IntegerOptimum:
+    """Answer to one objective with binaries.
+
+    Attributes
+    ----------
+    bound : float
+        The dual bound of the solver: no point exceeds it by more than its tolerances. -inf if there is no point.
+    point : array (columns,) or None
+        The best that was found.
+    finished : bool
+        False if a limit stopped the search.
+    """
+
+    bound: float
+    point: np.ndarray | None
+    finished: bool
+
+
 class LinearProgram:
     """max c x subject to lower <= A x <= upper and bounds on x, for one c after another.
+
+    Attributes
+    ----------
+    lower, upper : array (columns,)
+    binaries : list of int
+        Columns that `maximize_integer` holds to 0 and 1; `maximize` relaxes them.
 
     Examples
     --------
@@ -55,8 +82,8 @@ class LinearProgram:
         }.items():
             self.highs.setOptionValue(name, setting)
         self.highs.changeObjectiveSense(highspy.ObjSense.kMaximize)
-        self.lower, self.upper = np.zeros(0), np.zeros(0)
-        self._costed = np.zeros(0, dtype=np.int32)
+        self.lower, self.upper, self.binaries = np.zeros(0), np.zeros(0), []
+        self._costed, self._declared = np.zeros(0, dtype=np.int32), 0
 
     def add_columns(self, lower, upper):
         """Add variables with bounds (k,) each; returns their indices (k,)."""
@@ -102,6 +129,7 @@ class LinearProgram:
         SolverError
             If HiGHS ends without an answer.
         """
+        self._declare_binaries(False)
         self.set_objective(columns, coefficients)
         self.highs.run()
         status = self.highs.getModelStatus()
@@ -121,6 +149,75 @@ class LinearProgram:
         if not len(self.lower):  # no variables: the empty sum
             return Optimum(0.0, np.zeros(0))
         raise SolverError(f"HiGHS ended a linear program with {self.highs.modelStatusToString(status)}")
+
+    def maximize_integer(self, columns, coefficients, *, gap=1e-9, nodes=None, time_limit=None, start=None):
+        """max coefficients x[columns] over the constraints so far, the `binaries` being 0 or 1.
+
+        Parameters
+        ----------
+        columns, coefficients : array (k,)
+        gap : float
+            Between bound and point, relative and absolute, at which the solver may stop.
+        nodes : int or None
+            At most so many nodes of the search tree.
+        time_limit : float or None
+            Seconds.
+        start : tuple of arrays, or None
+            Columns and their values, from which the solver may complete a first point.
+
+        Returns
+        -------
+        IntegerOptimum
+
+        Raises
+        ------
+        SolverError
+            If HiGHS ends without an answer.
+        """
+        self._declare_binaries(True)
+        self.set_objective(columns, coefficients)
+        self.highs.clearSolver()  # the answer does not depend on what was asked before
+        for name, setting in {
+            "presolve": "choose",
+            "mip_rel_gap": float(gap),
+            "mip_abs_gap": float(gap),
+            "mip_feasibility_tolerance": MIP_TOLERANCE,
+            "mip_heuristic_run_feasibility_jump": False,  # two thirds of the time on a model with few binaries
+            "mip_max_nodes": highspy.kHighsIInf if nodes is None else nodes,
+            "time_limit": np.inf
+            if time_limit is None
+            else self.highs.getRunTime() + time_limit,  # of all runs together
+        }.items():
+            self.highs.setOptionValue(name, setting)
+        if start is not None:
+            self.highs.setSolution(len(start[0]), np.asarray(start[0], np.int32), np.asarray(start[1], float))
+        self.highs.run()
+        if self.highs.getModelStatus() not in (highspy.HighsModelStatus.kOptimal, *STOPPED):
+            self.highs.clearSolver()  # no answer, or infeasible: that has to hold without presolve too
+            self.highs.setOptionValue("presolve", "off")
+            self.highs.run()
+        status, info = self.highs.getModelStatus(), self.highs.getInfo()
+        self.highs.setOptionValue("presolve", "off")
+        self.highs.setOptionValue("time_limit", np.inf)
+        if status == highspy.HighsModelStatus.kInfeasible:
+            return IntegerOptimum(-np.inf, None, True)
+        if status not in (highspy.HighsModelStatus.kOptimal, *STOPPED):
+            raise SolverError(f"HiGHS ended the MILP with {self.highs.modelStatusToString(status)}")
+        finished, solution = status == highspy.HighsModelStatus.kOptimal, self.highs.getSolution()
+        attained = solution.value_valid and np.isfinite(info.objective_function_value)
+        point = np.array(solution.col_value) if attained else None
+        if self.binaries:
+            return IntegerOptimum(float(info.mip_dual_bound), point, finished)
+        return IntegerOptimum(float(info.objective_function_value) if finished else np.inf, point, finished)
+
+    def _declare_binaries(self, integer):
+        """Hold the binaries to 0 and 1, or relax them."""
+        declared = len(self.binaries) if integer else 0
+        if self._declared != declared:
+            columns = np.array(self.binaries, np.int32)
+            kind = highspy.HighsVarType.kInteger if integer else highspy.HighsVarType.kContinuous
+            self.highs.changeColsIntegrality(len(columns), columns, np.full(len(columns), kind))
+            self._declared = declared
 
     def set_objective(self, columns, coefficients):
         """Replace the objective; the constraints and the basis stay."""

@@ -15,6 +15,7 @@ try:
     from matplotlib.cm import cividis
     from matplotlib.patches import PathPatch, Polygon
     from matplotlib.path import Path
+    from matplotlib.ticker import MaxNLocator
 except ImportError as missing:
     raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
 
@@ -247,6 +248,39 @@ def plot_areas(ax, studies, sizes):
     ax.set_ylim(0.5 - len(ticks), 0.5)
     ax.grid(axis="x", color="#DDDDDD")
     ax.set_axisbelow(True)
+
+
+def plot_growth(axes, networks, steps):
+    """How cells and seconds grow with the network, and seconds with the number of steps.
+
+    Parameters
+    ----------
+    axes : three matplotlib Axes
+    networks : list of (kind, neurons, cells, seconds to build, seconds of one step, seconds of the MILP)
+        inf seconds are left out.
+    steps : list of (case, k, seconds by cells, seconds by the MILP)
+    """
+    first, second, third = axes
+    for kind, style in (("ReLU", {"color": BLUE, "marker": "o"}), ("maxout", {"color": RED, "marker": "s"})):
+        rows = [row for row in networks if row[0] == kind]
+        first.loglog([row[1] for row in rows], [row[2] for row in rows], linestyle="none", label=kind, **style)
+    first.set(xlabel="neurons", ylabel="cells")
+    count = [row[2] for row in networks]
+    parts = (("building the cells", 3, GREEN, "o"), ("one step, 8 directions", 4, BLUE, "v"), ("MILP", 5, RED, "x"))
+    for label, column, colour, marker in parts:
+        values = [row[column] if np.isfinite(row[column]) else np.nan for row in networks]
+        second.loglog(count, values, linestyle="none", color=colour, marker=marker, label=label)
+    second.set(xlabel="cells", ylabel="seconds")
+    for case, line in zip(dict.fromkeys(row[0] for row in steps), ("-", "--")):
+        rows = [row for row in steps if row[0] == case]
+        k = [row[1] for row in rows]
+        for label, column, colour, marker in (("cells", 2, BLUE, "v"), ("MILP", 3, RED, "x")):
+            values = [row[column] if np.isfinite(row[column]) else np.nan for row in rows]
+            third.semilogy(k, values, color=colour, marker=marker, linestyle=line, label=f"{case}, {label}")
+    third.set(xlabel="steps $k$", ylabel="seconds of one direction")
+    third.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for ax in axes:
+        ax.legend(fontsize="x-small")
 
 
 def plot_history(axes, history, chosen=None, name=r"\mathcal{F}"):

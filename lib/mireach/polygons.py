@@ -110,11 +110,3 @@ class Polygons:
         sizes = np.add.reduceat(counts, self.starts[:-1])
         kept = np.flatnonzero(sizes)
         return Polygons(points, np.concatenate([[0], np.cumsum(sizes[kept])])), kept
-
-    def rank(self, tol):
-        """Dimension of each polygon, (N,) of 0, 1 or 2; extents up to `tol` (a length) count as none."""
-        length = np.linalg.norm(self.largest(self.points) - self.least(self.points), axis=1)
-        spokes = self.points - self.points[self.starts[:-1]][self.owner]
-        turns = spokes[:, 0] * spokes[self.onward, 1] - spokes[:, 1] * spokes[self.onward, 0]
-        area = np.abs(np.add.reduceat(turns, self.starts[:-1])) / 2
-        return (length > tol).astype(int) + (area > tol * length)

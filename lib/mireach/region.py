@@ -204,7 +204,7 @@ class Region:
 
 
 def overlay(operation, *shapes):
-    """A set operation of shapely; where GEOS fails on edges that nearly coincide, again with rounded corners.
+    """A set operation of shapely; where GEOS fails on edges that nearly coincide, it is done with rounded corners.
 
     Parameters
     ----------
@@ -217,11 +217,21 @@ def overlay(operation, *shapes):
     shapely geometry
         In the second case with corners on a grid of `GRID` times the largest coordinate.
     """
+    size = max(1.0, *(np.abs(shapely.get_coordinates(shape)).max(initial=0.0) for shape in shapes))
     try:
-        return operation(*shapes)
+        found = operation(*shapes)
+        if operation not in (shapely.union_all, shapely.union) or _holds(found, np.hstack(shapes), GRID * size):
+            return found
     except shapely.errors.GEOSException:
-        size = max(1.0, *(np.abs(shapely.get_coordinates(shape)).max(initial=0.0) for shape in shapes))
-        return operation(*shapes, grid_size=GRID * size)
+        pass
+    return operation(*shapes, grid_size=GRID * size)
+
+
+def _holds(union, parts, tol):
+    """Whether a union holds the middle of each of its parts: on edges that nearly coincide GEOS may drop a part."""
+    shapely.prepare(union)
+    parts = shapely.get_parts(parts)
+    return bool(shapely.dwithin(union, shapely.centroid(parts[~shapely.is_empty(parts)]), tol).all())
 
 
 def hulls(polygons, margin=0.0):

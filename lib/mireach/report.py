@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 from tqdm.auto import tqdm
 
-from .case_studies import NAMES, CaseStudy, case_study, data_file
+from .case_studies import PAPER, CaseStudy, case_study, data_file
 from .certificate import Certificate, make
 from .files import write_json, write_whole
 from .invariance import (
@@ -118,7 +118,7 @@ def reproduce(
     """
     from . import plotting  # noqa: F401 - where matplotlib is missing this says so, before the work is done
 
-    analyses = [analyse(case_study(name), engine, cross_check, progress) for name in NAMES]
+    analyses = [analyse(case_study(name), engine, cross_check, progress) for name in PAPER]
     draw_figures(analyses, Path(figures))
     for analysis in analyses:
         analysis.certificate.save(Path(certificates) / analysis.case.name / "certificate.json")
@@ -313,9 +313,9 @@ def _exactly(loop, certificate, centred, minimal, maximal, reach):
         return all((support(loop, F, G.H, engine="exact").bound <= G.h).all() for F, G in pairwise(sets))
 
     found = {
-        "F_max": certificate["safe_set"].verdict == "proven",
-        "R_1 to R_k": certificate["sequence"].verdict == "proven",
-        "terminal set": certificate["terminal_set"].verdict == "proven",
+        "F_max": certificate.report["safe_set"].verdict == "proven",
+        "R_1 to R_k": certificate.report["sequence"].verdict == "proven",
+        "terminal set": certificate.report["terminal_set"].verdict == "proven",
     }
     if centred is not None:
         found["terminal set about the equilibrium"] = holds_images([*centred.history, centred.set])
@@ -438,8 +438,8 @@ def _common_rows(analysis):
     yield (
         "Theorem 1, decided by a fraction",
         "-",
-        analysis.certificate["theorem_1"].verdict,
-        f"alpha = {analysis.certificate.alpha}; {analysis.certificate['theorem_1'].reason}",
+        analysis.certificate.report["theorem_1"].verdict,
+        f"alpha = {analysis.certificate.alpha}; {analysis.certificate.report['theorem_1'].reason}",
     )
     minimal = analysis.minimal
     where = "-" if minimal.set is None else f"k = {minimal.steps}"

@@ -10,9 +10,9 @@ from time import perf_counter
 import numpy as np
 from tqdm.auto import tqdm
 
-from .case_studies import INPUT_LIMITS, PAPER, SHAPES, case_study, data_file, require_name
+from .case_studies import PAPER, PLANTS, SHAPES, case_study, data_file, require_name, save_sets
 from .checks import whole_number
-from .datasets import DataSet, make_double_integrator_data, make_pwa_data
+from .datasets import MAKERS, DataSet
 from .engines.cells import cells
 from .errors import CorruptFileError, MireachError
 from .files import END, write_whole
@@ -145,8 +145,8 @@ def train_case(name, seed, data=None, **training):
 
     torch.set_num_threads(1)
     data = DataSet.load(data_file(name, "samples.csv")) if data is None else data
-    limit = INPUT_LIMITS[name]
-    result = train(data.states, data.inputs, **SHAPES[name], lower=-limit, upper=limit, seed=seed, **training)
+    lower, upper = PLANTS[name]().input_set.bounding_box()
+    result = train(data.states, data.inputs, **SHAPES[name], lower=lower, upper=upper, seed=seed, **training)
     return result.network, result.loss
 
 
@@ -230,7 +230,7 @@ def choose(name, rows):
     distance is the sum of the relative differences of the figures that the paper prints: iterations of
     F_max, k-bar, and for `pwa` the right end of F_max, the side of it that differs between the networks.
     """
-    require_name(name)
+    require_name(name, tuple(PAPER))
     paper = PAPER[name]
     sound = [row for row in rows if row.verdict == "proven" and row.criterion and row.alpha > 1 + CLEAR]
     if not sound:
@@ -322,6 +322,7 @@ def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=Tr
     str
         What was chosen, for people.
     """
+    require_name(name, tuple(PAPER))
     count = whole_number(count, "count", 1)
     if scheduler is None and not jobs:
         raise ValueError("jobs must not be 0; -1 is one process a core")
@@ -341,9 +342,10 @@ def retrain(name, seed=None, folder=None, progress=True):
     ----------
     name : str
     seed : int or None
-        None is the seed whose network is shipped.
+        None is the seed whose network is shipped: that of the study, or 0 for a case without one.
     folder : str, Path or None
-        Where samples.csv and network.json are written; None is the case's folder in `data`.
+        Where samples.csv and network.json are written, and sets.json for a case with more than two states;
+        None is the case's folder in `data`.
     progress : bool
 
     Returns
@@ -351,15 +353,27 @@ def retrain(name, seed=None, folder=None, progress=True):
     str
         What came out, for people.
     """
-    make = {"pwa": make_pwa_data, "double_integrator": make_double_integrator_data}[name]
+    require_name(name)
     if seed is None:
-        seed = choose(name, load_rows(data_file(name, "seeds.csv"))).seed
+        seed = choose(name, load_rows(data_file(name, "seeds.csv"))).seed if name in PAPER else 0
     folder = Path(folder or data_file(name, ""))
-    data = make(progress=progress)
+    data = MAKERS[name](progress=progress)
     data.save(folder / "samples.csv")
     network, loss = train_case(name, seed, data, progress=progress)
     network.save(folder / "network.json")
-    return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {analyse_seed(name, seed, network, loss)}"
+    found = analyse_seed(name, seed, network, loss) if name in PAPER else _write_sets(name, network, folder, progress)
+    return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {found}"
+
+
+def _write_sets(name, network, folder, progress):
+    """Find F_max and the terminal set of a trained network and write sets.json: what came out, for people."""
+    case = case_study(name, network)
+    safe = safe_set(case.loop, case.safe_directions, progress=progress)
+    if safe.set is None:
+        return f"no F_max: {safe.reason}"
+    terminal = terminal_set(case.loop, safe, case.directions, case.epsilon, progress=progress)
+    save_sets(folder / "sets.json", safe, terminal)
+    return f"F_max after {safe.iterations} iterations; {terminal.reason}, alpha = {terminal.alpha:.9g}"
 
 
 def _maximal_of(name, network):

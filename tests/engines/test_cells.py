@@ -1,5 +1,7 @@
 """The cells against brute force over all modes and winning channels, and against sampled trajectories."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from loops import (
@@ -7,6 +9,7 @@ from loops import (
     assert_replays,
     brute_support,
     evaluate,
+    exact_input,
     jump_loop,
     narrow_spike,
     random_images,
@@ -15,6 +18,7 @@ from loops import (
 
 from mireach import ClosedLoop, Layer, MaxoutNetwork, Mode, Polytope, PWASystem, directions
 from mireach.engines.cells import cells, support
+from mireach.plants import chessboard
 
 V = np.vstack([directions(5), [[-5, 1]]])
 SETS = {
@@ -187,6 +191,55 @@ def test_areas_of_the_cells_add_up_to_the_state_set(seed):
     assert total == pytest.approx(np.prod(upper - lower), rel=1e-9)
 
 
+@pytest.mark.parametrize("gain", [0.6, 30.0, 1e4])
+@pytest.mark.parametrize("seed", range(3))
+def test_error_of_a_cell_covers_the_exact_input(seed, gain):
+    """K x + g against Phi(x) in rational numbers, in the middle and at the corners of every cell."""
+    found = cells(random_loop(seed, cuts=1, layers=2, width=3, pool=3, saturated=True, gain=gain))
+    net = random_loop(seed, cuts=1, layers=2, width=3, pool=3, saturated=True, gain=gain).network
+    for i in range(len(found)):
+        points = np.vstack([found.polygons[i], found.polygons[i].mean(axis=0)])
+        K, g = ([[Fraction(value) for value in row] for row in part] for part in (found.K[i].tolist(), [found.g[i]]))
+        for x in points.tolist():
+            piece = [a * Fraction(x[0]) + b * Fraction(x[1]) + c for (a, b), c in zip(K, g[0])]
+            for u, exactly, error in zip(piece, exact_input(net, x), found.error[i]):
+                assert abs(u - exactly) <= error
+    assert gain > 1 or found.error.max() <= 1e-12
+
+
+@pytest.mark.parametrize(("seed", "widths"), [(0, (24, 24)), (1, (16, 16, 16))])
+def test_cells_of_a_wide_relu_network_on_a_chessboard(seed, widths):
+    rng, hidden, size = np.random.default_rng(seed), [], 2
+    for width in widths:
+        weight, bias = np.zeros((2 * width, size)), np.zeros(2 * width)
+        weight[::2], bias[::2] = rng.normal(size=(width, size)) * np.sqrt(2 / size), rng.normal(size=width)
+        hidden.append(Layer(weight, bias, 2))
+        size = width
+    net = MaxoutNetwork(hidden, rng.normal(size=(1, size)), [0.0]).saturate([-1.0], [1.0])
+    X, U = Polytope.box([-3, -3], [3, 3]), Polytope.box([-1], [1])
+    modes = [Mode(0.5 * np.eye(2), [[1.0], [0.5]], rng.normal(size=2), region) for region in chessboard(X, U)]
+    loop = ClosedLoop(PWASystem(modes, X, U), net)
+    found = cells(loop)
+    assert len(found) > 500 and (np.diff(found.mode) >= 0).all()
+    points, ends, reached = found.polygons.points, [], np.full(len(V), -np.inf)
+    low, high = found.polygons.least(points), found.polygons.largest(points)
+    for x in X.sample(rng, 300):
+        u, near = evaluate(net, x), np.flatnonzero(((low <= x) & (x <= high)).all(axis=1))
+        owners = [i for i in near if inside(found.polygons[i], x)]
+        assert owners
+        for i in owners:
+            np.testing.assert_allclose(found.K[i] @ x + found.g[i], u, atol=1e-10)
+            mode = modes[found.mode[i]]
+            ends.append(mode.A @ x + mode.B @ u + mode.p)
+    asked = support(loop, X, V)
+    assert ((np.array(ends) @ V.T).max(axis=0) <= asked.bound).all()
+    for mode in modes:  # the largest value is attained at a corner of a cell
+        x = points[mode.region.contains(np.hstack([points, np.zeros((len(points), 1))]), tol=1e-9)]
+        images = x @ mode.A.T + net(x) @ mode.B.T + mode.p
+        reached = np.maximum(reached, (images @ V.T).max(axis=0))
+    np.testing.assert_allclose(asked.value, reached, atol=1e-7)
+
+
 def test_cells_are_shared_by_loops_that_differ_in_the_dynamics_only():
     loop = random_loop(0)
     assert cells(loop) is cells(loop.with_disturbance(Polytope.box([0, 0], [1, 1])))
@@ -223,6 +276,14 @@ def test_empty_set_and_set_outside_have_no_image():
     for F in (Polytope.box([20, 20], [21, 21]), Polytope([[1.0, 0], [-1, 0]], [0, -1]), Polytope([[0.0, 0]], [-1])):
         found = support(loop, F, V)
         assert (found.value == -np.inf).all() and (found.bound == -np.inf).all() and set(found.witness) == {None}
+
+
+def test_a_point_whose_rows_are_rounded_is_a_point():
+    """Rows of a template that are opposite but for rounding; read exactly they leave nothing of the point."""
+    C, x = directions(8), np.array([-7.3, 8.52])
+    loop = affine_loop(0.5 * np.eye(2), limits=10.0)
+    found = support(loop, Polytope(C, C @ x), C)
+    np.testing.assert_allclose(found.value, C @ x / 2, atol=1e-12)
 
 
 # -- bad input ----------------------------------------------------------------------------------------

@@ -182,7 +182,7 @@ def hard_loop():
 def test_time_limit_stops_with_a_bound_that_holds():
     loop, V = hard_loop()
     with pytest.raises(SolverStopped, match=r"time_limit = 0\.05 s") as stop:
-        milp.support(loop, EVERYTHING[3], V, bounds="interval", time_limit=0.05)
+        milp.support(loop, EVERYTHING[3], V, formulation="paper", time_limit=0.05)
     known = stop.value.support
     images = random_images(loop, loop.system.state_set, np.random.default_rng(0), 300)
     assert ((images @ V.T).max(axis=0) <= known.bound).all() and (known.value <= known.bound).all()
@@ -197,13 +197,13 @@ def test_ample_time_limit_changes_nothing():
 def test_wrong_bound_of_the_solver_is_noticed(monkeypatch):
     loop, solve = random_loop(0), milp._solve
 
-    def too_low(model, v, time_limit=None):
-        bound, point, finished = solve(model, v, time_limit)
+    def too_low(model, v, *limits):
+        bound, point, finished = solve(model, v, *limits)
         return (bound - 0.5 if v[0] == 1 else bound), point, finished
 
     monkeypatch.setattr(milp, "_solve", too_low)
     with pytest.raises(SolverError, match="a trajectory passes this"):
-        milp.support(loop, EVERYTHING[2], [[1.0, 0.0], [0.999, 0.001]])
+        milp.support(loop, EVERYTHING[2], [[1.0, 0.0], [0.999, 0.001]], formulation="whole")
 
 
 # -- bounds -------------------------------------------------------------------------------------------
@@ -265,5 +265,5 @@ def test_mode_out_of_reach_needs_no_binary():
     modes = [Mode(zero, column, [i, 0.0], region) for i, region in enumerate(regions)]
     net = affine_loop(np.eye(2)).network
     loop = ClosedLoop(PWASystem(modes, Polytope.box([-1, -1], [1, 1]), Polytope.box([-1], [1])), net)
-    assert len(milp.build(loop, Polytope.box([0.5, 0], [1, 1]), 1).binaries) == 1
+    assert len(milp.build(loop, Polytope.box([0.5, 0], [1, 1]), 1).binaries) == 0
     assert len(milp.build(loop, Polytope.box([-0.5, 0], [1, 1]), 1).binaries) == 2

@@ -6,20 +6,43 @@ reachable set is then a maximum over the vertices of (cell & F), without any MIL
 """
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property, lru_cache
+from math import inf, nextafter
 
 import numpy as np
 
-from ..compiled import highest
+from ..compiled import affine_pieces, highest, parts, sharp_pairs
 from ..loop import require_inputs
 from ..lp import LinearProgram
 from ..polygons import Polygons
-from ..polytope import Polytope
+from ..polytope import Polytope, box_directions
 from .common import Lazily, Support, checked_query, empty_support, replay
 
 TOUCH = 1e-11  # closed sets that come this close touch (relative to the size of X)
 ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this, relative to the size of the states
+CORNER = 2.0**-50  # how far rounding moves a new corner off its edge, at most (relative to the size of X)
+SHAPED = 16  # cuts that a polygon of X and a region counts for; rounding moves its corners by no more than theirs
+CUTS = 64  # cuts by rows of F, one after the other, that the errors of a cell allow for
+PARALLEL = 4e-15  # rows of a smaller sine are opposite but for rounding, as those of a template are
+SHARP = 0.1  # tips of a smaller sine are cut off by a row of their own, for rounding moves them far
 MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall into
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """The half-planes of x beyond which the state or a mode ends: rows H x <= h of X and of regions, as decimals.
+
+    Attributes
+    ----------
+    H, h : array (w, 2) and (w,)
+    mode : array (w,) of int
+        The mode whose region the row bounds; -1 for the rows of X.
+    """
+
+    H: np.ndarray
+    h: np.ndarray
+    mode: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +56,28 @@ class Cells:
     mode : array (N,) of int
     K : array (N, m, 2)
     g : array (N, m)
+    error : array (N, m)
+        |K x + g - Phi(x)| is at most this on the cell, as far as the rounding of its corners reaches.
+    cuts : array (N,) of int
+        Every state x of a mode lies within `cuts` CORNER of a cell of the mode (relative to the size of X).
+    walls : Walls
     """
 
     polygons: Polygons
     mode: np.ndarray
     K: np.ndarray
     g: np.ndarray
+    error: np.ndarray
+    cuts: np.ndarray
+    walls: Walls
 
     def __len__(self):
         return len(self.polygons)
 
     def take(self, chosen):
         """The cells with the given indices."""
-        return Cells(self.polygons.take(chosen), self.mode[chosen], self.K[chosen], self.g[chosen])
+        per_cell = (self.mode, self.K, self.g, self.error, self.cuts)
+        return Cells(self.polygons.take(chosen), *(array[chosen] for array in per_cell), self.walls)
 
     @cached_property
     def size(self):
@@ -53,22 +85,29 @@ class Cells:
         return _size(self.polygons.points)
 
     def restrict(self, F):
-        """Those parts of the cells that meet the Polytope F: Polygons, and the cell each comes from."""
-        polygons, norms = self.polygons, np.linalg.norm(F.H, axis=1)
-        norms[norms == 0] = 1
-        H, h = F.H / norms[:, None], F.h / norms
-        touch = TOUCH * self.size
-        excess = polygons.points @ H.T - h
-        near = (polygons.least(excess) <= touch).all(axis=1)
-        straddling = near[:, None] & (polygons.largest(excess) > touch)
-        whole = np.flatnonzero(near & ~straddling.any(axis=1))
-        cut = np.flatnonzero(straddling.any(axis=1))
-        pieces = polygons.take(cut)
-        for row in np.flatnonzero(straddling.any(axis=0)):
-            a, b = np.broadcast_to(H[row], (len(pieces), 2)), np.full(len(pieces), h[row])
-            pieces, kept = pieces.clip(a, b, touch)
-            cut = cut[kept]
-        return Polygons.join([polygons.take(whole), pieces]), np.concatenate([whole, cut])
+        """Those parts of the cells that meet the Polytope F: Polygons, and the cell each comes from.
+
+        A part is the intersection to within rounding, from outside, wherever F has an edge.
+        """
+        points, starts, owner = parts(*self.question(F))
+        return Polygons(points, starts), owner
+
+    def question(self, F):
+        """What the compiled loops have to know: the cells, the half-planes of F, and what counts as rounding.
+
+        Cells are cut a little beyond each row of F, so that nothing of F is lost to rounding.
+        """
+        H, h, only = _blunted(F, self.walls, self.size)
+        slack = (self._most_cuts + len(h)) * CORNER * self.size
+        return (*self._shapes, H, h, only, slack, TOUCH * self.size)
+
+    @cached_property
+    def _shapes(self):
+        return (self.polygons.points, self.polygons.starts, *self.polygons.discs, self.mode)
+
+    @cached_property
+    def _most_cuts(self):
+        return int(self.cuts.max(initial=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +119,10 @@ class LoopCells:
     cells : Cells
     M : array (N, 2, 2)
     c : array (N, 2)
+    error : array (N, 2)
+        Of M x + c + d, by component: the state x that it stands for is another one by rounding, and so are M and c.
+    corners : list of arrays (v, 2)
+        Of the D^(i) of every mode.
     unit : float
         Bounds are rounded up to multiples of this power of two, the same for all sets of the loop.
     """
@@ -87,6 +130,8 @@ class LoopCells:
     cells: Cells
     M: np.ndarray
     c: np.ndarray
+    error: np.ndarray
+    corners: list
     unit: float
 
     def images(self, points, owner):
@@ -130,11 +175,16 @@ def dynamics(loop):
     system = loop.system
     found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set, system.input_set)
     A, B, p = (maps[found.mode] for maps in system.maps)
-    every = LoopCells(found, A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p, 0.0)
+    M, c = A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p
+    known = {mode.disturbance: _corners(mode.disturbance) for mode in system.modes}
+    every = LoopCells(found, M, c, np.zeros_like(c), [known[mode.disturbance] for mode in system.modes], 0.0)
     images = every.images(found.polygons.points, found.polygons.owner)
-    limits = [mode.disturbance.bounding_box() for mode in system.modes]
-    size = max(_size(found.polygons.points), _size(images), _size(np.array(limits)))
-    return replace(every, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
+    size = max(_size(found.polygons.points), _size(images), *(_size(corners) for corners in known.values()))
+    inputs = np.abs(found.K).sum(axis=2) * found.size + np.abs(found.g) + found.error
+    rounding = np.abs(A).sum(axis=2) * found.size + np.einsum("nij,nj->ni", np.abs(B), inputs) + np.abs(p) + size
+    error = np.einsum("nij,nj->ni", np.abs(B), found.error) + 4 * CORNER * rounding
+    error += np.abs(M).sum(axis=2) * ((found.cuts + CUTS) * CORNER * found.size)[:, None]
+    return replace(every, error=error, unit=ROUNDING * 2.0 ** np.ceil(np.log2(size)))
 
 
 def support(loop, F, V, steps=1):
@@ -154,8 +204,8 @@ def support(loop, F, V, steps=1):
     Returns
     -------
     Support
-        `bound` is the value rounded up by at most 3e-11 of the size of X and its image (times |v| for
-        long rows), so that rounding errors are covered and equal sets give equal numbers.
+        `bound` is rounded up to a multiple of 1.5e-11 of the size of X and its image (times |v| for long rows), so
+        that equal sets give equal numbers.
 
     Raises
     ------
@@ -164,9 +214,26 @@ def support(loop, F, V, steps=1):
 
     Notes
     -----
-    Against the exact engine `bound` was never below the truth, sets apart that are needles: where two rows of F
-    are parallel to within w, rounding moves the point in which they meet by about 1e-15 / w, which can exceed the
-    rounding up of the bound: by 6e-12 for w = 1e-4, by 4e-9 for w = 1e-6. engine="exact" settles such sets.
+    exact <= bound <= exact + 1e-9 was found for every set that was compared with the exact engine, thin slivers and
+    needles among them (lengths relative to the size of X, if that is above 1). What is behind it, with eta = `CORNER`
+    for what rounding does to one corner:
+
+    - Every state x of a mode lies within `cuts` eta of a cell of that mode, and there |K x + g - Phi(x)| is at most
+      the `error` of the cell (`compiled.affine_pieces`); large weights make it large. Rows of a region that involve u
+      are moved outward by it.
+    - Cells are cut by the rows of F moved outward by (`cuts` + rows) eta, so what is left of the cell holds a point
+      that near x, and v x+ is at most the largest v (M x + c + d) over its corners plus |v| times `LoopCells.error`:
+      |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. So the bound is not below the truth.
+    - Nor is it far above. What is left of a cell may lie outside of F & X, or outside of the cell itself, but not by
+      more than that in any row. Edges between cells of one mode may be as parallel as they like: Phi is continuous.
+      Where two rows of F, or one of F and one of X or of a region, make a tip of a sine below `SHARP`, a row through
+      the exact tip, in rational arithmetic, is added across it.
+
+    What remains: a mode whose boundary depends on u reaches as far as the rounding of u says, so for a row of F that
+    is parallel to the boundary within an angle w the bound is high by about 1e-14 / w. Sets that come within 1e-11 of
+    each other count as touching, and rows that are opposite to within 4e-15 as parallel. With `steps` > 1 each piece
+    is widened by its error before it goes on: the bound stays above the truth, and that error grows with the gain of
+    the loop.
     """
     V, steps = checked_query(loop, F, V, steps)
     every = dynamics(loop)
@@ -179,15 +246,18 @@ def support(loop, F, V, steps=1):
                 f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, "
                 'a smaller F, or engine="milp"'
             )
-    value, end, cell = np.full(len(V), -np.inf), np.zeros(len(V), int), np.zeros(len(V), int)
-    for number, (piece, _) in enumerate(pieces):
-        reached, where = _highest(every, piece, rows)
-        better = reached > value
-        value[better], end[better], cell[better] = reached[better], number, where[better]
+    if not pieces:
+        return empty_support(len(V))
+    value, top, cell = _highest(every, pieces[0][0], rows)
+    end = np.zeros(len(V), int)
+    for number, (piece, _) in enumerate(pieces[1:], start=1):
+        reached, above, where = _highest(every, piece, rows)
+        better = above > top
+        value[better], top[better], end[better], cell[better] = reached[better], above[better], number, where[better]
     if not np.isfinite(value).all():
         return empty_support(len(V))
     witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
-    return Support(value, np.ceil(value / rows.unit + 0.05) * rows.unit, witness)
+    return Support(value, np.ceil(top / rows.unit + 0.05) * rows.unit, witness)
 
 
 # -- building the cells -------------------------------------------------------------------------------
@@ -199,111 +269,102 @@ def _cells(network, regions, state_set, input_set):
 
     Raises ValueError if the network leaves U at a vertex of them.
     """
-    n = 2
-    found = Cells(
-        Polygons.of([state_set.vertices()] * len(regions)),
-        np.arange(len(regions)),
-        np.zeros((len(regions), 0, n)),
-        np.zeros((len(regions), 0)),
+    domains, modes, walls = _domains(regions, state_set)
+    size = _size(domains.points)
+    layers = [(layer.weight, layer.bias, layer.pool) for layer in network.hidden] + [(network.weight, network.bias, 1)]
+    points, shape, values = affine_pieces(
+        domains.points,
+        domains.starts,
+        np.concatenate([weight.ravel() for weight, _, _ in layers]),
+        np.concatenate([bias for _, bias, _ in layers]),
+        np.array([2] + [len(bias) // pool for _, bias, pool in layers]),
+        np.array([pool for _, _, pool in layers]),
+        size,
+        TOUCH * size,
+        CORNER * size,
+        SHAPED,
     )
-    found = _cut_by_regions(found, regions, with_input=False)
-    found = _cut_by_network(found, network)
-    found = _cut_by_regions(found, regions, with_input=True)
-    require_inputs(network, input_set, found.polygons.points)
+    sizes, owner, cuts = shape.T
+    polygons = Polygons(points, np.concatenate([[0], np.cumsum(sizes)]))
+    K, g, error = np.split(values.reshape(len(values), -1, 4), [2, 3], axis=2)
+    found = Cells(polygons, modes[owner], K.copy(), g[..., 0].copy(), error[..., 0].copy(), cuts, walls)
+    found = _cut_by_inputs(found, regions)
+    points, owner = found.polygons.points, found.polygons.owner
+    inputs = np.einsum("tij,tj->ti", found.K[owner], points) + found.g[owner]
+    worst = np.argmax((inputs @ input_set.H.T - input_set.h).max(axis=1))
+    require_inputs(network, input_set, points[[worst]])
     return found
 
 
-def _cut_by_regions(found, regions, with_input):
-    """Cut each cell by those rows of its mode's region that involve u, or by those that do not."""
-    touch = TOUCH * _size(found.polygons.points)
-    mode_rows = []
+@lru_cache(maxsize=32)
+def _domains(regions, state_set):
+    """X cut by those rows of each region that do not involve u: Polygons, the mode of each, and all rows as Walls."""
+    found, walls = [], [(state_set.H, state_set.h)]
     for region in regions:
-        H, h = region.H, region.h
-        chosen = (H[:, 2:] != 0).any(axis=1) == with_input
-        mode_rows.append((H[chosen], h[chosen]))
-    for row in range(max(len(h) for _, h in mode_rows)):
-        owns = np.array([row < len(h) for _, h in mode_rows])
-        H = np.array([H[row] if row < len(h) else np.zeros(H.shape[1]) for H, h in mode_rows])[found.mode]
-        h = np.array([h[row] if row < len(h) else 0.0 for _, h in mode_rows])[found.mode]
-        a, b = H[:, :2], h
-        if with_input:
-            a = a + np.einsum("nm,nmi->ni", H[:, 2:], found.K)
-            b = b - np.einsum("nm,nm->n", H[:, 2:], found.g)
-        norm = np.maximum(np.linalg.norm(a, axis=1), np.linalg.norm(H, axis=1))
-        norm[~owns[found.mode]] = 1
-        polygons, kept = found.polygons.clip(a / norm[:, None], b / norm, 10 * touch if with_input else touch)
-        found = replace(found.take(kept), polygons=polygons)
-    return found
+        of_x = ~(region.H[:, 2:] != 0).any(axis=1)
+        H, h = region.H[of_x, :2], region.h[of_x]
+        found.append(_corners(state_set, H, h))
+        walls.append((H, h))
+    modes = np.flatnonzero([len(corners) for corners in found])
+    of_mode = np.repeat(np.arange(-1, len(regions)), [len(h) for _, h in walls])
+    walls = Walls(np.vstack([H for H, _ in walls]), np.concatenate([h for _, h in walls]), of_mode)
+    return Polygons.of([found[mode] for mode in modes]), modes, walls
 
 
-def _cut_by_network(found, network):
-    """Cut cells wherever the winning channel of a neuron changes; K and g become those of Phi."""
-    count = len(found)
-    K, g = np.broadcast_to(np.eye(2), (count, 2, 2)), np.zeros((count, 2))
-    for layer in network.hidden:
-        K_next, g_next = np.empty((len(found), layer.width, 2)), np.empty((len(found), layer.width))
-        for neuron in range(layer.width):
-            rows = slice(neuron * layer.pool, (neuron + 1) * layer.pool)
-            K_channels = layer.weight[rows] @ K
-            g_channels = g @ layer.weight[rows].T + layer.bias[rows]
-            polygons, parent, winner = _cut_by_winner(found.polygons, K_channels, g_channels)
-            found = replace(found.take(parent), polygons=polygons)
-            K, g, K_next, g_next = K[parent], g[parent], K_next[parent], g_next[parent]
-            K_next[:, neuron], g_next[:, neuron] = K_channels[parent, winner], g_channels[parent, winner]
-        K, g = K_next, g_next
-    return replace(found, K=network.weight @ K, g=g @ network.weight.T + network.bias)
+def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
+    """The corners of {x in P : H x <= h} for a bounded Polytope P, numbers being decimals: array (v, 2).
 
-
-def _cut_by_winner(polygons, K, g):
-    """Split polygons into the parts on which one channel K[:, j] x + g[:, j] is the largest.
-
-    Returns the parts, the polygon each comes from, and its winning channel. Phi is continuous, so parts
-    of lower dimension than their polygon are left out: their neighbours contain them.
+    They are off by no more than the rounding that `SHAPED` cuts count for, or further out where a tip is sharp.
     """
-    touch = TOUCH * _size(polygons.points)
-    z = np.einsum("tji,ti->tj", K[polygons.owner], polygons.points) + g[polygons.owner]
-    margin = polygons.least(z - z.max(axis=1, keepdims=True))
-    winner = margin.argmax(axis=1)
-    settled = margin.max(axis=1) >= -touch
-    undecided = np.flatnonzero(~settled)
-    if not len(undecided):
-        return polygons, np.arange(len(polygons)), winner
-    open_polygons = polygons.take(undecided)
-    rank = open_polygons.rank(touch)
-    batches, parents, winners = [polygons.take(np.flatnonzero(settled))], [np.flatnonzero(settled)], [winner[settled]]
-    orphan = np.ones(len(undecided), bool)
-    for j in range(K.shape[1]):
-        part, source = open_polygons, np.arange(len(undecided))
-        for i in range(K.shape[1]):
-            if i == j:
-                continue
-            a = K[undecided[source], i] - K[undecided[source], j]
-            b = g[undecided[source], j] - g[undecided[source], i]
-            steepness = np.maximum(np.linalg.norm(a, axis=1), 1)
-            part, kept = part.clip(a / steepness[:, None], b / steepness, touch if i < j else 0.0)
-            source = source[kept]
-            if i < j:  # where two channels agree on all of the part, the first of them has it
-                ahead = _excess(part, a[kept], b[kept])
-                part, source = part.take(ahead), source[ahead]
-        full = np.flatnonzero(part.rank(touch) == rank[source]) if len(part) else np.zeros(0, int)
-        orphan[source[full]] = False
-        batches.append(part.take(full))
-        parents.append(undecided[source[full]])
-        winners.append(np.full(len(full), j))
-    if orphan.any():  # thinner than rounding in every part: one winner does for all of it
-        lost = undecided[orphan]
-        batches.append(polygons.take(lost))
-        parents.append(lost)
-        winners.append(winner[lost])
-    return Polygons.join(batches), np.concatenate(parents), np.concatenate(winners)
+    box = np.array(P.bounding_box())
+    size, nowhere = _size(box), Walls(np.zeros((0, 2)), np.zeros(0), np.zeros(0, int))
+    corner, touch = CORNER * size, TOUCH * size
+    start, around = P.vertices(), Polytope.box(*(box + np.array([[-1.0], [1.0]]))).vertices()
+    both = Polytope(np.vstack([P.H, H]), np.concatenate([P.h, h]))
+    rows = _blunted(both, nowhere, size, decimal=True)
+    if len(rows[1]) > len(both.h):
+        return _part(around, *rows, SHAPED * corner, touch)
+    careful = _part(around, P.H, P.h, np.full(len(P.h), -1), 4 * corner, touch)
+    apart = np.abs(careful[:, None] - start).max(axis=2).min(axis=1, initial=inf)
+    if (apart > SHAPED / 2 * corner).any():  # `vertices` takes corners that are closer than 1e-11 as one
+        start = careful
+    found = Polygons.of([start])
+    for a, b in zip(H, h):
+        norm = max(np.linalg.norm(a), np.finfo(float).tiny)
+        found, _ = found.clip(a[None] / norm, np.array([b / norm]), touch)
+        if not len(found):
+            break
+    return found.points
 
 
-def _excess(part, a, b):
-    """Indices of the polygons somewhere in which a x < b by more than rounding."""
-    if not len(part):
-        return np.zeros(0, int)
-    slack = b[part.owner] - np.einsum("ti,ti->t", part.points, a[part.owner])
-    return np.flatnonzero(part.largest(slack) > TOUCH * _size(part.points))
+def _part(corners, H, h, only, slack, touch):
+    """The part of one polygon in half-planes: array (v, 2)."""
+    whole = Polygons.of([corners])
+    return parts(whole.points, whole.starts, *whole.discs, np.zeros(1, int), H, h, only, slack, touch)[0]
+
+
+def _cut_by_inputs(found, regions):
+    """Cut each cell by those rows of its mode's region that involve u; outward, by the error of u."""
+    size = found.size
+    chosen = [(region.H[:, 2:] != 0).any(axis=1) for region in regions]
+    for row in range(max(own.sum() for own in chosen)):
+        H, h = np.zeros((len(regions), regions[0].dimension)), np.zeros(len(regions))
+        for i, (region, own) in enumerate(zip(regions, chosen)):
+            if row < own.sum():
+                H[i], h[i] = region.H[own][row], region.h[own][row]
+        H, h = H[found.mode], h[found.mode]
+        a = H[:, :2] + np.einsum("nm,nmi->ni", H[:, 2:], found.K)
+        b = h - np.einsum("nm,nm->n", H[:, 2:], found.g)
+        inputs = np.abs(found.K).sum(axis=2) * size + np.abs(found.g)
+        rounding = np.abs(H[:, :2]).sum(axis=1) * size + np.einsum("nm,nm->n", np.abs(H[:, 2:]), inputs) + np.abs(h)
+        slack = np.einsum("nm,nm->n", np.abs(H[:, 2:]), found.error) + 4 * CORNER * rounding
+        slack += np.abs(a).sum(axis=1) * (found.cuts + CUTS) * CORNER * size
+        norm = np.maximum(np.linalg.norm(a, axis=1), np.linalg.norm(H, axis=1))
+        norm[norm == 0] = 1
+        polygons, kept = found.polygons.clip(a / norm[:, None], (b + slack) / norm, 10 * TOUCH * size)
+        found = replace(found.take(kept), polygons=polygons)
+        found = replace(found, cuts=found.cuts + 1)
+    return found
 
 
 def _size(points):
@@ -321,8 +382,8 @@ class _Rows:
     Attributes
     ----------
     V : array (k, 2)
-    heights : array (N, k)
-        Largest v x+ without disturbance over each cell.
+    heights, tops : array (N, k)
+        Largest v x+ over each cell, and with the error of the cell.
     spread : array (s, k)
         h of D^(i).
     unit : array (k,)
@@ -331,6 +392,7 @@ class _Rows:
 
     V: np.ndarray
     heights: np.ndarray
+    tops: np.ndarray
     spread: np.ndarray
     unit: np.ndarray
 
@@ -338,48 +400,84 @@ class _Rows:
 @lru_cache(maxsize=32)
 def _rows(loop, every, shape, content):
     """The _Rows of an array of this shape and content."""
-    V, polygons = np.frombuffer(content).reshape(shape).copy(), every.cells.polygons
-    known = {}
-    for mode in loop.system.modes:
-        if mode.disturbance not in known:
-            known[mode.disturbance] = mode.disturbance.support(V)
-    return _Rows(
-        V,
-        polygons.largest(every.images(polygons.points, polygons.owner) @ V.T),
-        np.array([known[mode.disturbance] for mode in loop.system.modes]),
-        every.unit * 2.0 ** np.floor(np.log2(np.linalg.norm(V, axis=1).clip(1))),
-    )
+    V, found = np.frombuffer(content).reshape(shape).copy(), every.cells
+    spread = np.array([(V @ corners.T).max(axis=1) for corners in every.corners])
+    heights = found.polygons.largest(every.images(found.polygons.points, found.polygons.owner) @ V.T)
+    heights += spread[found.mode]
+    unit = every.unit * 2.0 ** np.floor(np.log2(np.linalg.norm(V, axis=1).clip(1)))
+    return _Rows(V, heights, heights + every.error @ np.abs(V).T, spread, unit)
 
 
 def _highest(every, F, rows):
-    """max v x+ over the states of F, for the rows v of V, and the cell in which it is attained: (k,) and (k,)."""
-    polygons, mode, touch = every.cells.polygons, every.cells.mode, TOUCH * every.cells.size
-    shape = (polygons.points, polygons.starts, *polygons.discs)
-    return highest(*shape, every.M, every.c, mode, rows.heights, rows.spread, F.H, F.h, touch, rows.V)
+    """max v x+ over the states of F, for the rows v of V, the same with its error, and the cell: (k,) each."""
+    asked = every.cells.question(F)
+    return highest(*asked, every.M, every.c, every.error, rows.spread, rows.heights, rows.tops, rows.V)
+
+
+def _blunted(F, walls, size, decimal=False):
+    """The rows of F, and one across every sharp tip that they make with each other or with a wall.
+
+    Returns H, h and the mode (-1 for all) to which each row belongs. With `decimal` the numbers of F are decimals
+    like those of the walls; else they are the floats they are.
+    """
+    pairs, count = sharp_pairs(F.H, F.h, walls.H, walls.h, size, PARALLEL, SHARP), len(F.h)
+    only, tips = np.full(count, -1), []
+    for r, s in pairs:
+        first = _exact_row(F.H[r], F.h[r], decimal)
+        if s < count:
+            second, mode = _exact_row(F.H[s], F.h[s], decimal), -1
+        else:
+            second, mode = _exact_row(walls.H[s - count], walls.h[s - count], True), walls.mode[s - count]
+        tips.append((*_across(F.H[r], first, second), mode))
+    if not tips:
+        return F.H, F.h, only
+    # a Polytope, for the compiled loops are compiled for arrays like its own, which cannot be written to
+    blunt = Polytope(np.vstack([F.H, [a for a, _, _ in tips]]), np.append(F.h, [b for _, b, _ in tips]))
+    return blunt.H, blunt.h, np.append(only, [mode for _, _, mode in tips])
+
+
+def _exact_row(a, b, decimal):
+    """A half-plane a x <= b as three Fractions."""
+    return [Fraction(repr(value)) if decimal else Fraction(value) for value in (*a.tolist(), float(b))]
+
+
+def _across(normal, first, second):
+    """The half-plane a x <= b across the tip of two others, a being `normal` turned by a right angle.
+
+    The tip is exact, b rounded up. Every point of the two lies in it: a is between their normals.
+    """
+    (p, q, r), (s, t, u) = first, second
+    turn = p * t - q * s
+    a = np.array([-normal[1], normal[0]]) * (1 if turn > 0 else -1)
+    x, y = (r * t - q * u) / turn, (p * u - r * s) / turn
+    exact = Fraction(a[0]) * x + Fraction(a[1]) * y
+    b = float(exact)
+    return a, b if Fraction(b) >= exact else nextafter(b, inf)
 
 
 def _images(every, F, loop, chain):
-    """The convex images M (cell & F) + c + D, each with the chain of (polygon, cell) that led to it."""
+    """The images of the parts of F: list of (Polytope, chain), where chain holds the (polygon, cell) so far.
+
+    Each is widened by its error, and cut off by a box so that this does not lengthen its tips.
+    """
     part, index = every.cells.restrict(F)
-    corners = [mode.disturbance.vertices() for mode in loop.system.modes]
-    images = Polygons(every.images(part.points, index[part.owner]), part.starts)
-    return [
-        (
-            Polytope.from_points((images[i][:, None] + corners[every.cells.mode[cell]]).reshape(-1, 2)),
-            (*chain, (part[i], cell)),
-        )
-        for i, cell in enumerate(index)
-    ]
+    images, found = Polygons(every.images(part.points, index[part.owner]), part.starts), []
+    for i, cell in enumerate(index):
+        points = (images[i][:, None] + every.corners[every.cells.mode[cell]]).reshape(-1, 2)
+        H = np.vstack([Polytope.from_points(points).H, box_directions(2)])
+        h = (points @ H.T).max(axis=0) + np.abs(H) @ every.error[cell]
+        found.append((Polytope(H, h), (*chain, (part[i], cell))))
+    return found
 
 
 def _witness(loop, every, F, v, piece, chain, cell):
     """A trajectory that attains the maximum along v: through the chain, to the part of `cell` in `piece`."""
-    part, _ = every.cells.take([cell]).restrict(piece)
-    points = part.points
+    part, index = every.cells.restrict(piece)
+    points = part[np.flatnonzero(index == cell)[0]]
     if chain:
         return _longer_witness(loop, every, F, v, [*chain, (points, cell)])
     mode = every.cells.mode[cell]
-    corners = loop.system.modes[mode].disturbance.vertices()
+    corners = every.corners[mode]
     point = points[np.argmax(every.images(points, np.full(len(points), cell)) @ v)]
     return replay(loop, point, [mode], [corners[np.argmax(corners @ v)]])
 

@@ -1,57 +1,58 @@
-"""Lemmas 1 and 2 of [Teichrib2025]: the k-step reachable set as one mixed-integer linear program (HiGHS).
+"""Lemmas 1 and 2 of [Teichrib2025] by mixed-integer linear programming (HiGHS), for any number of states and steps.
 
-The model grows from the state to the output of each layer, to the modes, to the next state. What has been
-built so far is, with its binaries relaxed to [0, 1], a linear program that bounds what comes next: hence a
-big-M for every single row, no binary for a channel that never wins, and none for a mode that is never met.
+Three formulations answer the same question. "paper" is eq. MILPReachableSets as it is printed, "whole" is one model
+with a big-M for every row and without what bounds show to be superfluous, and "split" is a branch and bound over boxes
+of the state space: affine bounds (`boxes`) settle most of them, and what is left are models with a handful of binaries.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from time import perf_counter
 
-import highspy
 import numpy as np
 
-from ..checks import positive_number, real_array
+from ..checks import positive_number, real_array, whole_number
 from ..errors import SolverError, SolverStopped
 from ..loop import require_inputs
-from ..lp import TOLERANCE, LinearProgram
-from .bounds import METHODS, SAFETY, lower_bound, upper_bound
+from ..lp import MIP_TOLERANCE
+from .bounds import METHODS, SAFETY
+from .boxes import ROUNDING, Boxes, bound_loop
 from .common import Support, checked_query, empty_support, replay
+from .formulation import Model, build, build_inputs, root_box
 
-MIP_TOLERANCE = 1e-8  # feasibility in the MILP; bounds.SAFETY has to stay far above it
+__all__ = ["FORMULATIONS", "Model", "build", "check_inputs", "support"]
+
+FORMULATIONS = ("split", "whole", "paper")
 MARGIN = (
     2e-9  # beside MIP_TOLERANCE, by which HiGHS may prune what is better: for gap and LPs, relative to 1 + the bound
 )
 DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
 INPUT_TOLERANCE = 1e-7  # how far Phi may leave U, for rounding (relative to 1 + the size of the limit)
+FEW = 8  # binaries a step of a box that is not split further
+MANY = 40  # boxes solved for one direction, divided by k^2, after which one model of all of F settles it
+NARROW = 1e-4  # a box is not split along a side shorter than this (relative to 1 + where it is)
+MOST_BOXES = 20_000  # looked at for one set, divided by k^4; then one model of all of F settles the rest
+AT_ONCE = 1024  # boxes that are bounded together: what they hold in memory
+ROUNDS = 12  # of states ever closer to the best ones
+SAMPLES = 200  # states from which the first attained values come
 
 
-@dataclass(frozen=True, eq=False)
-class Model:
-    """The MILP of eq. MILPReachableSets, ready for any objective v x(k).
-
-    Attributes
-    ----------
-    program : LinearProgram
-        All constraints; binaries are relaxed until `solve` declares them.
-    states : list of k + 1 arrays (n,)
-        Columns of x(0), ..., x(k).
-    modes : list of k arrays (s,)
-        Columns of gamma(0), ..., gamma(k - 1).
-    disturbances : list of k arrays (n,)
-        Columns of d(0), ..., d(k - 1).
-    binaries : array of int
-        Columns of all delta and gamma that are still open.
-    """
-
-    program: LinearProgram
-    states: list
-    modes: list
-    disturbances: list
-    binaries: np.ndarray
-
-
-def support(loop, F, V, steps=1, *, bounds="lp", time_limit=None, gap=1e-9):
-    """h of R_k(F) along the rows of V by the MILP of Lemma 2, one solve a row, for any k, n and m.
+def support(
+    loop,
+    F,
+    V,
+    steps=1,
+    *,
+    formulation="split",
+    bounds="lp",
+    cutoff=None,
+    time_limit=None,
+    gap=1e-9,
+    jobs=1,
+):
+    """h of R_k(F) along the rows of V by the MILP of Lemma 2, for any k, n and m.
 
     Parameters
     ----------
@@ -61,13 +62,24 @@ def support(loop, F, V, steps=1, *, bounds="lp", time_limit=None, gap=1e-9):
     V : array (k, n)
     steps : int
         k; the model has k times as many binaries.
-    bounds : "lp" or "interval"
-        Where the big-M come from (see `bounds`).
+    formulation : "split", "whole" or "paper"
+        How the question is put to the solver. "split": F & X is halved until few binaries are left in each box that
+        may hold the maximum. "whole": one model. "paper": one model as in the paper, with s + sum of p_i w_i binaries
+        a step and big-M by interval arithmetic, one for each layer and one for the plant.
+    bounds : "interval", "lp" or "tight"
+        Where the big-M of "whole" come from: ranges of single variables; LPs over what has been built so far; or
+        MILPs over that, stopped early, where the LP leaves a sign open (see `bounds.upper_bound`). For "split" only
+        boxes that still need many binaries ask for it; "paper" takes intervals.
+    cutoff : array (k,) or None
+        Where only "is h at most this?" is asked: what is shown to lie below is not looked at further, so that `bound`
+        may then be anything between h and the cutoff. It is not used by "whole" and "paper".
     time_limit : float or None
         Seconds for each direction.
     gap : float
         Relative gap between bound and value at which the solver may stop. HiGHS's own default of 1e-4
         would be far too loose for sets that are compared with each other.
+    jobs : int
+        Threads, among which the directions are shared out; the answer does not depend on it.
 
     Returns
     -------
@@ -82,280 +94,346 @@ def support(loop, F, V, steps=1, *, bounds="lp", time_limit=None, gap=1e-9):
     SolverError
         If HiGHS ends without an answer, or with bounds that its own trajectories pass.
     ValueError
-        If Phi leaves U at some state of F & X.
+        If Phi leaves U at some state of F & X (for k > 1, of X), or an argument is not as above.
     """
     V, steps = checked_query(loop, F, V, steps)
     gap = float(real_array(gap, "gap", 0))
     if gap < 0:
         raise ValueError(f"gap must not be negative; got {gap}")
+    if formulation not in FORMULATIONS:
+        raise ValueError(f"formulation must be one of {FORMULATIONS}; got {formulation!r}")
+    if bounds not in METHODS:
+        raise ValueError(f"bounds must be one of {METHODS}; got {bounds!r}")
     time_limit = None if time_limit is None else positive_number(time_limit, "time_limit")
-    model = build(loop, F, steps, bounds)
-    if model is None:
+    cutoff = np.full(len(V), -np.inf) if cutoff is None else np.asarray(cutoff, float)
+    if cutoff.shape != (len(V),):
+        raise ValueError(f"cutoff has shape {cutoff.shape}, but V has {len(V)} rows; give one number each")
+    jobs = whole_number(jobs, "jobs", 1)
+    X = loop.system.state_set
+    start = F & X
+    if start.is_empty:
         return empty_support(len(V))
-    value, bound, witness, stopped = np.full(len(V), -np.inf), np.full(len(V), np.inf), [None] * len(V), False
-    _declare_binaries(model, gap)
-    for row, v in enumerate(V):
-        limit, point, finished = _solve(model, v, time_limit)
-        if limit == -np.inf:
-            return empty_support(len(V))
-        bound[row] = limit + MIP_TOLERANCE + MARGIN * (1 + abs(limit))
-        stopped |= not finished
-        if point is not None:
-            modes = [int(np.argmax(point[columns])) for columns in model.modes]
-            witness[row] = replay(loop, point[model.states[0]], modes, [point[d] for d in model.disturbances])
-            value[row] = min(v @ witness[row].states[-1], bound[row])
-    _require_consistent(V, bound, witness)
-    found = Support(value, bound, tuple(witness))
-    if stopped:
+    check_inputs(loop, start if steps == 1 else X, bounds)
+    ask = _Ask(loop, start, V, steps, bounds, gap, time_limit)
+    answers = _split(ask, cutoff, jobs) if formulation == "split" else _at_once(ask, formulation, jobs)
+    value, bound = (np.array([getattr(answer, name) for answer in answers]) for name in ("value", "bound"))
+    if (bound == -np.inf).any():
+        return empty_support(len(V))
+    found = Support(np.minimum(value, bound), bound, tuple(answer.witness(loop) for answer in answers))
+    _require_consistent(V, found)
+    if not all(answer.finished for answer in answers):
         raise SolverStopped(f"HiGHS was stopped by time_limit = {time_limit} s; allow more time", found)
     return found
 
 
-def build(loop, F, steps, bounds="lp"):
-    """The model of eq. MIClosedLoop over x(0) in F & X for K = `steps`.
+@dataclass(frozen=True, eq=False)
+class _Ask:
+    """The question: the largest v x(k), or v u(0), over trajectories from F, for each row v of V.
 
-    Returns
-    -------
-    Model, or None
-        None if F & X is empty.
-
-    Raises
-    ------
-    ValueError
-        If `bounds` is not one of the methods, or Phi leaves U.
+    F lies in X. `inputs` asks for u(0) instead of x(k); the rest is as in `support`.
     """
-    if bounds not in METHODS:
-        raise ValueError(f"bounds must be one of {METHODS}; got {bounds!r}")
-    start = F & loop.system.state_set
-    if start.is_empty:
-        return None
-    lp = LinearProgram()
-    x = lp.add_columns(*_widened(*start.bounding_box()))
-    lp.add_rows(x, F.H, upper=F.h)
-    states, modes, disturbances, binaries = [x], [], [], []
-    for _ in range(steps):
-        lp.add_rows(x, loop.system.state_set.H, upper=loop.system.state_set.h)
-        u, deltas = add_network(lp, loop.network, x, bounds)
-        _require_inputs(lp, loop, x, u, deltas, bounds)
-        x, gamma, d = add_system(lp, loop.system, x, u, bounds)
-        if x is None:
+
+    loop: object
+    F: object
+    V: np.ndarray
+    steps: int
+    bounds: str
+    gap: float
+    time_limit: float | None
+    inputs: bool = False
+
+    @cached_property
+    def spread(self):
+        """Support function of the disturbance sets along V: (s, k)."""
+        known = {D: D.support(self.V) for D in {mode.disturbance for mode in self.loop.system.modes}}
+        return np.array([known[mode.disturbance] for mode in self.loop.system.modes])
+
+    def highest(self, bounds):
+        """Upper bounds over the boxes of LoopBounds: (B, k)."""
+        return bounds.highest_input(self.V) if self.inputs else bounds.highest_state(self.loop, self.V, self.spread)
+
+    def enough(self, value, cutoff):
+        """Bounds (k,) up to which nothing more has to be known, given attained values."""
+        return np.maximum(_above(value, self.gap), cutoff)
+
+    def model(self, bounds, box, known):
+        """The MILP on one box, or None."""
+        if self.inputs:
+            return build_inputs(self.loop, self.F, bounds, box, known)
+        return build(self.loop, self.F, self.steps, bounds, "whole", box, known)
+
+
+@dataclass(eq=False)
+class _Answer:
+    """What is known along one direction: the best trajectory and its value, and the bound."""
+
+    v: np.ndarray
+    value: float = -np.inf
+    bound: float = -np.inf
+    path: tuple | None = None  # x(0), modes, disturbances; the last disturbance may be left out
+    finished: bool = True
+
+    def offer(self, value, path):
+        """Keep a trajectory if it is better."""
+        if value > self.value:
+            self.value, self.path = float(value), path
+
+    def witness(self, loop):
+        """The trajectory as a Witness, or None."""
+        if self.path is None:
             return None
-        states, modes, disturbances = [*states, x], [*modes, gamma], [*disturbances, d]
-        binaries += [*deltas, *gamma[lp.upper[gamma] > 0]]
-    return Model(lp, states, modes, disturbances, np.array(binaries, np.int32))
+        x, modes, disturbances = self.path
+        if len(disturbances) < len(modes):
+            disturbances = [*disturbances, loop.system.modes[modes[-1]].disturbance.farthest(self.v)]
+        return replay(loop, x, modes, disturbances)
 
 
-def add_network(lp, network, x, bounds="lp"):
-    """Eq. MI_Constraints_NN: columns of u = Phi(x), and those of the binaries delta that are needed.
-
-    For neuron l of layer i with its channels z_j = W_j q + b_j, j in A_l:
-    z_j <= q_l <= z_j + M_j (1 - delta_j), sum of delta_j = 1, with M_j >= max over x of (max_i z_i - z_j).
-    """
-    q, deltas = x, []
-    for layer in network.hidden:
-        outputs = []
-        for neuron in range(layer.width):
-            rows = slice(neuron * layer.pool, (neuron + 1) * layer.pool)
-            column, new = _add_neuron(lp, q, layer.weight[rows], layer.bias[rows], bounds)
-            outputs.append(column)
-            deltas += new
-        q = np.array(outputs, np.int32)
-    u = _add_affine(lp, q, network.weight, network.bias, bounds)
-    return u, deltas
+def _above(value, gap=0.0):
+    """What HiGHS may have missed above a value that it calls the largest."""
+    return value + np.where(np.isfinite(value), MIP_TOLERANCE + (MARGIN + gap) * (1 + np.abs(value)), 0)
 
 
-def add_system(lp, system, x, u, bounds="lp"):
-    """Eqs. gammaForR, MI_PWA_xTilde, MI_PWA_sumXTilde and MISysWithDis: columns of x+, gamma and d.
+# -- branch and bound over boxes ----------------------------------------------------------------------
 
-    x+ is None if no mode can be met.
-    """
-    modes, n = system.modes, system.state_size
-    gamma = lp.add_columns(np.zeros(len(modes)), np.ones(len(modes)))
-    lp.add_row(gamma, np.ones(len(modes)), 1, 1)
-    xu = np.concatenate([x, u])
-    for mode, on in zip(modes, gamma):  # eq. gammaForR: H (x, u) <= h + M (1 - gamma)
-        for row, offset in zip(mode.region.H, mode.region.h):
-            if lower_bound(lp, xu, row, -offset, bounds) > 10 * TOLERANCE:
-                lp.set_bounds(on, 0, 0)
+
+def _split(ask, cutoff, jobs):
+    """An _Answer for each direction."""
+    answers, begin = [_Answer(v) for v in ask.V], perf_counter()
+    simulation = _Simulation(ask, answers)
+    simulation.improve()
+    k, budget = len(ask.V), np.inf if ask.time_limit is None else ask.time_limit * len(ask.V)
+    boxes = root_box(ask.loop, ask.F, ask.steps)
+    upper, settled, looked, left = np.full((1, k), np.inf), np.full(k, -np.inf), 0, []
+    while len(boxes):
+        now, later = np.arange(len(boxes)) < AT_ONCE, np.arange(len(boxes)) >= AT_ONCE
+        waiting, waiting_upper = boxes.take(later), upper[later]
+        now &= boxes.meets(ask.F)
+        boxes, upper = boxes.take(now), upper[now]
+        looked += len(boxes)
+        found = bound_loop(ask.loop, boxes, ask.steps)
+        upper = np.minimum(upper, ask.highest(found))
+        simulation.look_at(boxes.middle)
+        value = np.array([answer.value for answer in answers])
+        still = upper > ask.enough(value, cutoff)
+        settled = np.maximum(settled, np.where(still, -np.inf, upper).max(axis=0, initial=-np.inf))
+        binaries, keep = found.binaries, still.any(axis=1)
+        wide = boxes.reach > NARROW * (1 + boxes.size)
+        stop = looked > MOST_BOXES / ask.steps**4 or perf_counter() - begin > budget
+        leaf = keep & (stop | (binaries <= FEW * ask.steps) | ~wide.any(axis=1))
+        left.append((boxes.take(leaf), np.where(still, upper, -np.inf)[leaf]))
+        on = keep & ~leaf
+        halves = boxes.take(on).split(np.where(wide, found.doubt, -1)[on].argmax(axis=1), SAFETY)
+        boxes = Boxes(np.concatenate([waiting.lower, halves.lower]), np.concatenate([waiting.upper, halves.upper]))
+        upper = np.concatenate([waiting_upper, upper[on], upper[on]])
+    boxes = Boxes(*(np.concatenate([getattr(part, end) for part, _ in left]) for end in ("lower", "upper")))
+    upper = np.concatenate([part for _, part in left])
+    value = np.array([answer.value for answer in answers])
+    keep = (upper > ask.enough(value, cutoff)).any(axis=1)
+    settled = np.maximum(settled, upper[~keep].max(axis=0, initial=-np.inf))
+    many = 1 if looked > MOST_BOXES / ask.steps**4 else max(1, MANY // ask.steps**2)
+    leaves = _Leaves(ask, boxes.take(keep), upper[keep], many)
+
+    def settle(rows):
+        models = {}
+        for row in rows:
+            answers[row].bound = settled[row]
+            leaves.settle(row, answers[row], cutoff[row], models)
+
+    _share(settle, k, jobs)
+    return answers
+
+
+class _Leaves:
+    """The boxes that are left, and a MILP on each of them."""
+
+    def __init__(self, ask, boxes, upper, many):
+        self.ask, self.boxes, self.upper, self.many = ask, boxes, upper, many
+        self.found = bound_loop(ask.loop, boxes, ask.steps)
+        self.binaries = self.found.binaries
+
+    def model(self, index):
+        """The model on one box, of all of F for None; None if there is nothing."""
+        if index is None:
+            box = root_box(self.ask.loop, self.ask.F, self.ask.steps)
+            return self.ask.model(self.ask.bounds, box, bound_loop(self.ask.loop, box, self.ask.steps).at(0))
+        bounds = "interval" if self.binaries[index] <= FEW * self.ask.steps else self.ask.bounds
+        return self.ask.model(bounds, self.boxes.take([index]), self.found.at(index))
+
+    def settle(self, row, answer, cutoff, models):
+        """Solve on one box after another, the most promising first, until the others cannot be better."""
+        begin, upper = perf_counter(), self.upper[:, row]
+        for count, index in enumerate(np.argsort(-upper, kind="stable")):
+            if upper[index] <= self.ask.enough(answer.value, cutoff):
+                answer.bound = max(answer.bound, upper[index])
                 break
-            M = upper_bound(lp, xu, row, -offset, bounds)
-            if M > 0:
-                lp.add_row([*xu, on], [*row, M], upper=offset + M)
-    images = [_image_bounds(lp, mode, on, xu, bounds) for mode, on in zip(modes, gamma)]
-    met = [i for i in range(len(modes)) if lp.upper[gamma[i]] > 0]
-    if not met:
-        return None, gamma, None
-    boxes = {i: modes[i].disturbance.bounding_box() for i in met}
-    d_low = np.min([boxes[i][0] for i in met], axis=0)
-    d_high = np.max([boxes[i][1] for i in met], axis=0)
-    d = lp.add_columns(*_widened(d_low, d_high))
-    _add_disturbance(lp, [modes[i] for i in met], gamma[met], d)
-    parts = []
-    for i in met:
-        mode, on, (low, high, low_all, high_all) = modes[i], gamma[i], images[i]
-        low, high = _widened(low + boxes[i][0], high + boxes[i][1])
-        part = lp.add_columns(np.minimum(low, 0), np.maximum(high, 0))
-        for c in range(n):
-            lp.add_row([part[c], on], [1, -high[c]], upper=0)  # eq. MI_PWA_xTilde
-            lp.add_row([part[c], on], [1, -low[c]], lower=0)
-            row = [*mode.A[c], *mode.B[c], 1, -1]  # eq. MI_PWA_ABpd
-            M_high, M_low = high_all[c] + d_high[c], low_all[c] + d_low[c]
-            lp.add_row([*xu, d[c], part[c], on], [*row, M_high], upper=M_high - mode.p[c])
-            lp.add_row([*xu, d[c], part[c], on], [*row, M_low], lower=M_low - mode.p[c])
-        parts.append(part)
-    after = lp.add_columns(
-        np.min([lp.lower[gamma_part] for gamma_part in parts], axis=0),
-        np.max([lp.upper[gamma_part] for gamma_part in parts], axis=0),
-    )
-    for c in range(n):  # eq. MI_PWA_sumXTilde
-        lp.add_row([after[c], *(part[c] for part in parts)], [1, *[-1] * len(parts)], 0, 0)
-    return after, gamma, d
+            remaining = None if self.ask.time_limit is None else self.ask.time_limit - (perf_counter() - begin)
+            if remaining is not None and remaining <= 0:
+                answer.finished, answer.bound = False, max(answer.bound, upper[index])
+                break
+            chosen = index if count < self.many else None
+            if chosen not in models:
+                models[chosen] = self.model(chosen)
+            if models[chosen] is not None:
+                _ask_solver(self.ask, models[chosen], answer, remaining, upper[index])
+            if chosen is None:
+                break
+        answer.bound = max(answer.bound, answer.value)
 
 
-def _add_neuron(lp, q, weight, bias, bounds):
-    """One maxout neuron over the columns q: its column, and the list of its binaries (empty if one channel wins)."""
-    alive = list(range(len(bias)))
-    ahead = np.zeros((len(bias), len(bias)))  # ahead[i, j] >= z_i - z_j everywhere
-    for i in range(len(bias)):
-        for j in alive:
-            if i != j:
-                ahead[i, j] = upper_bound(lp, q, weight[i] - weight[j], bias[i] - bias[j], bounds)
-                if ahead[i, j] <= 0:  # z_i never exceeds z_j
-                    alive.remove(i)
-                    break
-    if len(alive) == 1:
-        return _add_affine(lp, q, weight[alive], bias[alive], bounds)[0], []
-    high = max(upper_bound(lp, q, weight[j], bias[j], bounds) for j in alive)
-    low = max(lower_bound(lp, q, weight[j], bias[j], bounds) for j in alive)
-    column = lp.add_columns(low, high)[0]
-    deltas = lp.add_columns(np.zeros(len(alive)), np.ones(len(alive)))
-    for j, delta in zip(alive, deltas):
-        M = max(ahead[i, j] for i in alive if i != j)
-        lp.add_row([column, *q], [1, *-weight[j]], lower=bias[j])
-        lp.add_row([column, *q, delta], [1, *-weight[j], M], upper=bias[j] + M)
-    lp.add_row(deltas, np.ones(len(alive)), 1, 1)
-    return column, list(deltas)
+class _Simulation:
+    """Attained values: trajectories from states of F, with random extreme disturbances, the last one the best."""
 
+    def __init__(self, ask, answers):
+        self.ask, self.answers, self.rng = ask, answers, np.random.default_rng(0)
+        n = ask.loop.system.state_size
+        self.modes = ask.loop.system.modes
+        self.before = range(ask.steps - 1)  # the steps whose disturbance has to be chosen
+        diagonals = np.array(list(product([-1.0, 1.0], repeat=n)))
+        self.extreme = [_extreme_points(mode.disturbance, diagonals) for mode in self.modes] if self.before else None
 
-def _add_affine(lp, q, weight, bias, bounds):
-    """Columns of weight q + bias."""
-    low = [lower_bound(lp, q, w, b, bounds) for w, b in zip(weight, bias)]
-    high = [upper_bound(lp, q, w, b, bounds) for w, b in zip(weight, bias)]
-    columns = lp.add_columns(low, high)
-    for column, w, b in zip(columns, weight, bias):
-        lp.add_row([column, *q], [1, *-w], b, b)
-    return columns
+    def improve(self, rounds=ROUNDS):
+        """Try random states of F, then states and disturbances ever closer to the best ones."""
+        F, n = self.ask.F, self.ask.loop.system.state_size
+        across = np.zeros((0, n)) if self.ask.inputs else self.ask.V
+        corners = _extreme_points(F, np.vstack([np.eye(n), -np.eye(n), across]))
+        states = self.rng.dirichlet(np.full(len(corners), 0.5), SAMPLES) @ corners
+        self.try_all(np.vstack([corners, states]))
+        for shrink in 0.6 ** np.arange(1, rounds + 1):
+            paths = [answer.path for answer in self.answers if answer.path is not None]
+            if not paths:
+                return
+            towards = np.vstack([corners, states[self.rng.integers(len(states), size=8)]])
+            best = np.array([path[0] for path in paths])
+            x = ((1 - shrink) * best[:, None] + shrink * towards).reshape(-1, n)
+            self.try_all(x, [np.repeat([path[2][j] for path in paths], len(towards), axis=0) for j in self.before])
 
+    def look_at(self, w):
+        """Try the states x(0) of points w (N, D)."""
+        x = w[:, : self.ask.loop.system.state_size]
+        self.try_all(x[self.ask.F.contains(x)])
 
-def _image_bounds(lp, mode, on, xu, bounds):
-    """Bounds of A x + B u + p where the mode acts and anywhere: low, high, low_all, high_all, each (n,).
-
-    A mode that the relaxation shows to be out of reach is switched off for good.
-    """
-    rows = np.hstack([mode.A, mode.B])
-    low_all = np.array([lower_bound(lp, xu, row, p, bounds) for row, p in zip(rows, mode.p)])
-    high_all = np.array([upper_bound(lp, xu, row, p, bounds) for row, p in zip(rows, mode.p)])
-    low, high = low_all, high_all
-    if lp.upper[on] > 0 and bounds == "lp":
-        lp.set_bounds(on, 1, 1)
-        low = np.array([lower_bound(lp, xu, row, p, bounds) for row, p in zip(rows, mode.p)])
-        high = np.array([upper_bound(lp, xu, row, p, bounds) for row, p in zip(rows, mode.p)])
-        reachable = np.isfinite(low).all() and np.isfinite(high).all()
-        lp.set_bounds(on, 0, 1 if reachable else 0)
-    return low, high, low_all, high_all
-
-
-def _add_disturbance(lp, modes, gamma, d):
-    """Eq. MI_PWA_Hd: H_D d <= h_D + M (1 - gamma), without big-M where all modes have the same set."""
-    if len({mode.disturbance for mode in modes}) == 1:
-        lp.add_rows(d, modes[0].disturbance.H, upper=modes[0].disturbance.h)
-        return
-    for mode, on in zip(modes, gamma):
-        for row, offset in zip(mode.disturbance.H, mode.disturbance.h):
-            M = upper_bound(lp, d, row, -offset, "interval")
-            if M > 0:
-                lp.add_row([*d, on], [*row, M], upper=offset + M)
-
-
-def _require_inputs(lp, loop, x, u, deltas, bounds):
-    """Raise ValueError if Phi leaves U: by the relaxation's bounds, and by a MILP where they do not settle it."""
-    U = loop.system.input_set
-    tol = INPUT_TOLERANCE * (1 + np.abs(U.h))
-    open_rows = [r for r in range(len(U.h)) if upper_bound(lp, u, U.H[r], -U.h[r], bounds) > tol[r]]
-    if not open_rows:
-        return
-    model = Model(lp, [x, u], [], [], np.array(deltas, np.int32))
-    _declare_binaries(model, gap=1e-9)
-    for r in open_rows:
-        _, point, _ = _solve(model, U.H[r])
-        if point is not None:  # None: no state gets here
-            require_inputs(loop.network, loop.system.input_set, point[x][None], tol=tol[r])
-    _relax_binaries(model)
-
-
-def _require_consistent(V, bound, witness):
-    """Raise SolverError if a trajectory found for one direction passes the bound of another."""
-    ends = np.array([found.states[-1] for found in witness if found is not None]).reshape(-1, V.shape[1])
-    excess = (ends @ V.T).max(axis=0, initial=-np.inf) - bound
-    worst = int(np.argmax(excess))
-    if excess[worst] > DOUBT * (1 + abs(bound[worst])):
-        raise SolverError(
-            f"HiGHS bounds direction {V[worst].tolist()} by {bound[worst]:.9g}, but a trajectory passes this by "
-            f'{excess[worst]:.3g}; try bounds="interval", or engine="cells" for two states'
+    def try_all(self, x, disturbances=None):
+        """Simulate from states x (N, n); of given disturbances (k - 1 arrays (N, n)) one in four is drawn anew."""
+        ask, system = self.ask, self.ask.loop.system
+        if ask.inputs:
+            self._offer(ask.loop.network(x) @ ask.V.T, lambda i, row: (x[i], [], []))
+            return
+        alive, start, modes, drawn = np.arange(len(x)), x, [], []
+        for j in self.before:
+            u = ask.loop.network(x)
+            inside = system.violation(x, u) <= 0
+            chosen = np.where(inside, self.rng.random(inside.shape), -1).argmax(axis=1)
+            d = np.array([self.extreme[i][self.rng.integers(len(self.extreme[i]))] for i in chosen]).reshape(x.shape)
+            if disturbances is not None:
+                given = disturbances[j][alive]
+                keep = self.rng.random(len(x)) < 0.75
+                keep &= [self.modes[i].disturbance.contains(one) for i, one in zip(chosen, given)]
+                d = np.where(keep[:, None], given, d)
+            after = system.successor(x, u, chosen) + d
+            kept = inside.any(axis=1) & system.state_set.contains(after)
+            x, start, alive = after[kept], start[kept], alive[kept]
+            modes = [before[kept] for before in modes] + [chosen[kept]]
+            drawn = [before[kept] for before in drawn] + [d[kept]]
+        u = ask.loop.network(x)
+        inside = system.violation(x, u) <= 0
+        A, B, p = system.maps
+        images = np.einsum("sij,tj->tsi", A, x) + np.einsum("sij,tj->tsi", B, u) + p
+        values = np.where(inside[:, :, None], images @ ask.V.T + ask.spread, -np.inf)  # (N, s, k)
+        last = values.argmax(axis=1)
+        self._offer(
+            values.max(axis=1),
+            lambda i, row: (start[i], [*(m[i] for m in modes), last[i, row]], [d[i] for d in drawn]),
         )
 
-
-def _widened(low, high):
-    """Bounds moved apart so that they cut off nothing; rows beside them hold the exact limits."""
-    return low - SAFETY * (1 + np.abs(low)), high + SAFETY * (1 + np.abs(high))
-
-
-# -- solving ------------------------------------------------------------------------------------------
+    def _offer(self, values, path):
+        """Offer the best of values (N, k) to each direction."""
+        if len(values):
+            for row, (answer, i) in enumerate(zip(self.answers, values.argmax(axis=0))):
+                answer.offer(values[i, row], path(i, row))
 
 
-def _declare_binaries(model, gap):
-    """Turn the relaxation into the MILP, with the accuracy that `support` promises."""
-    highs = model.program.highs
-    for name, setting in {
-        "presolve": "choose",
-        "mip_rel_gap": float(gap),
-        "mip_abs_gap": float(gap),
-        "mip_feasibility_tolerance": MIP_TOLERANCE,
-    }.items():
-        highs.setOptionValue(name, setting)
-    kinds = np.full(len(model.binaries), highspy.HighsVarType.kInteger)
-    highs.changeColsIntegrality(len(kinds), model.binaries, kinds)
+def _extreme_points(P, V):
+    """Points of a polytope that are farthest along the rows of V: (e, n).
+
+    An LP's tolerance can lead far beyond the tip of a needle: such points are left out, unless there are no others.
+    """
+    points = np.array([P.farthest(v) for v in V])
+    excess = (points @ P.H.T - P.h).max(axis=1)
+    return points[excess <= max(ROUNDING, excess.min())]
 
 
-def _relax_binaries(model):
-    """Back to the relaxation."""
-    highs = model.program.highs
-    kinds = np.full(len(model.binaries), highspy.HighsVarType.kContinuous)
-    highs.changeColsIntegrality(len(kinds), model.binaries, kinds)
-    highs.setOptionValue("presolve", "off")
+# -- one model ----------------------------------------------------------------------------------------
 
 
-def _solve(model, v, time_limit=None):
+def _at_once(ask, formulation, jobs):
+    """An _Answer for each direction, from one model of all of F."""
+    answers = [_Answer(v) for v in ask.V]
+
+    def settle(rows):
+        model = build(ask.loop, ask.F, ask.steps, ask.bounds, formulation)
+        if model is not None:
+            for row in rows:
+                _ask_solver(ask, model, answers[row], ask.time_limit, np.inf)
+
+    _share(settle, len(answers), jobs)
+    return answers
+
+
+def _ask_solver(ask, model, answer, time_limit, known):
+    """Solve a model along the answer's direction; `known` is a bound already."""
+    bound, point, finished = _solve(model, answer.v, time_limit, ask.gap)
+    answer.finished &= finished
+    answer.bound = max(answer.bound, min(known, float(_above(bound))))
+    if point is None:
+        return
+    x = point[model.states[0]]
+    if ask.inputs:
+        answer.offer(answer.v @ ask.loop.network(x), (x, [], []))
+        return
+    modes = [int(np.argmax(point[columns])) for columns in model.modes]
+    path = (x, modes, [point[d] for d in model.disturbances])
+    answer.offer(answer.v @ replay(ask.loop, *path).states[-1], path)
+
+
+def _solve(model, v, time_limit=None, gap=1e-9):
     """max v x(k): dual bound (-inf if infeasible), the best point or None, and whether the solver finished."""
-    lp = model.program
-    lp.set_objective(model.states[-1], v)
-    if time_limit is not None:  # HiGHS counts the seconds of all runs of a model together
-        lp.highs.setOptionValue("time_limit", lp.highs.getRunTime() + time_limit)
-    lp.highs.run()
-    if lp.highs.getModelStatus() not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kTimeLimit):
-        lp.highs.clearSolver()  # no answer, or infeasible: that has to hold from the start and without presolve too
-        lp.highs.setOptionValue("presolve", "off")
-        lp.highs.run()
-        lp.highs.setOptionValue("presolve", "choose")
-    status, info = lp.highs.getModelStatus(), lp.highs.getInfo()
-    if status == highspy.HighsModelStatus.kInfeasible:
-        return -np.inf, None, True
-    if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kTimeLimit):
-        raise SolverError(f"HiGHS ended the MILP with {lp.highs.modelStatusToString(status)}")
-    finished = status == highspy.HighsModelStatus.kOptimal
-    solution = lp.highs.getSolution()
-    point = (
-        np.array(solution.col_value) if solution.value_valid and np.isfinite(info.objective_function_value) else None
-    )
-    bound = info.mip_dual_bound if len(model.binaries) else (info.objective_function_value if finished else np.inf)
-    return float(bound), point, finished
+    found = model.program.maximize_integer(model.states[-1], v, gap=gap, time_limit=time_limit)
+    return found.bound, found.point, found.finished
+
+
+def _share(work, count, jobs):
+    """work(rows) with the rows 0, ..., count - 1 dealt out to `jobs` threads."""
+    if jobs == 1:
+        work(range(count))
+        return
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(work, [range(first, count, jobs) for first in range(min(jobs, count))]))
+
+
+# -- checks -------------------------------------------------------------------------------------------
+
+
+def check_inputs(loop, start, bounds="lp"):
+    """Raise ValueError if Phi leaves U somewhere in `start`."""
+    U = loop.system.input_set
+    tol = INPUT_TOLERANCE * (1 + np.abs(U.h))
+    found = bound_loop(loop, root_box(loop, start, 1))
+    open_rows = found.highest_input(U.H)[0] > U.h + tol
+    if not open_rows.any():
+        return
+    ask = _Ask(loop, start, U.H[open_rows], 1, bounds, 1e-9, None, inputs=True)
+    for answer, most in zip(_split(ask, (U.h + tol)[open_rows], 1), tol[open_rows]):
+        if answer.path is not None:
+            require_inputs(loop.network, U, answer.path[0][None], tol=most)
+
+
+def _require_consistent(V, found):
+    """Raise SolverError if a trajectory found for one direction passes the bound of another."""
+    ends = np.array([witness.states[-1] for witness in found.witness if witness is not None]).reshape(-1, V.shape[1])
+    excess = (ends @ V.T).max(axis=0, initial=-np.inf) - found.bound
+    worst = int(np.argmax(excess))
+    if excess[worst] > DOUBT * (1 + abs(found.bound[worst])):
+        raise SolverError(
+            f"HiGHS bounds direction {V[worst].tolist()} by {found.bound[worst]:.9g}, but a trajectory passes this by "
+            f'{excess[worst]:.3g}; try another formulation, or engine="cells" for two states'
+        )

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import SolverStopped
 from .common import Support, checked_query, empty_support, replay
-from .milp import build
+from .milp import check_inputs
 
 TOLERANCE = 1e-7  # added to what the solver calls optimal, in units of v x
 ZERO_GAP = {
@@ -160,7 +160,7 @@ def _require_inputs(loop):
     for layer in net.hidden:
         y = maxout_range(layer, *affine_range(layer.weight, layer.bias, *y))
     if excess(U.H, U.h, *affine_range(net.weight, net.bias, *y)).max() > 1e-9:
-        build(loop, loop.system.state_set, 1)
+        check_inputs(loop, loop.system.state_set)
 
 
 # -- big-M by interval arithmetic -----------------------------------------------------------------

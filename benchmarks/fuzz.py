@@ -1,0 +1,38 @@
+"""Cells, exact arithmetic, MILP and sampling on many random loops: python benchmarks/fuzz.py [COUNT] [FIRST]
+
+Prints the questions asked and every disagreement; the exit status is 1 if there is one. The questions, and what counts
+as a disagreement, are in tests/fuzz.py.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from pathlib import Path
+
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from fuzz import disagreements
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
+    parser.add_argument("count", type=int, nargs="?", default=5000, help="loops; default: 5000")
+    parser.add_argument("first", type=int, nargs="?", default=1000, help="the first seed; default: 1000")
+    options = parser.parse_args()
+    count, first = options.count, options.first
+    work = Parallel(n_jobs=-1, return_as="generator")(delayed(disagreements)(first + i) for i in range(count))
+    asked, found = Counter(loops=count), []
+    for texts, questions in tqdm(work, total=count, unit="loop"):
+        asked += questions
+        found += texts
+    for name, number in asked.items():
+        print(f"{name}: {number}")
+    print(f"disagreements: {len(found)}")
+    print("\n".join(found))
+    return bool(found)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,131 @@
+"""How the work grows with the network, the number of steps and of states: python benchmarks/growth.py
+
+Prints Markdown tables, and draws docs/figures/growth.{svg,png}. Medians of several runs in one process.
+"""
+
+import sys
+from functools import partial
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import mireach as mr
+from mireach import plotting
+from mireach.engines import cells
+from mireach.errors import SolverStopped
+
+ROOT = Path(__file__).resolve().parents[1]
+SHAPES = [  # kind, layers, width, channels a neuron
+    ("ReLU", 1, 16, 2),
+    ("ReLU", 2, 16, 2),
+    ("ReLU", 2, 32, 2),
+    ("ReLU", 2, 64, 2),
+    ("ReLU", 3, 16, 2),
+    ("ReLU", 3, 32, 2),
+    ("ReLU", 3, 64, 2),
+    ("maxout", 3, 3, 3),
+    ("maxout", 5, 5, 5),
+    ("maxout", 5, 10, 5),
+]
+TIME_LIMIT = 60.0  # seconds of a MILP for one direction
+STEPS = {"pwa": 5, "double_integrator": 3}
+
+
+def random_network(kind, layers, width, pool, seed=0):
+    """A random network of two inputs, its output of about the size of the inputs and saturated to [-2, 2]."""
+    rng, hidden, size = np.random.default_rng(seed), [], 2
+    for _ in range(layers):
+        weight = rng.normal(size=(width, pool, size)) * np.sqrt(2 / size) / (1 if kind == "ReLU" else 2)
+        bias = rng.normal(size=(width, pool))
+        if kind == "ReLU":
+            weight[:, 1], bias[:, 1] = 0, 0
+        hidden.append(mr.Layer(weight.reshape(-1, size), bias.ravel(), pool))
+        size = width
+    return mr.MaxoutNetwork(hidden, rng.normal(size=(1, size)) / np.sqrt(size), [0.0]).saturate(-2, 2)
+
+
+def seconds(work, runs):
+    """Median time of `work`, after one run that is not counted."""
+    work()
+    found = []
+    for _ in range(runs):
+        begin = perf_counter()
+        work()
+        found.append(perf_counter() - begin)
+    return median(found)
+
+
+def networks():
+    """The cells of random networks over nine modes, and one support by the MILP: rows for the table and the plot."""
+    system, V = mr.case_study("double_integrator").system, mr.directions(8)
+    print(
+        "| random network, 9 modes | binaries | cells | building them, s | one step in 8 directions over X, ms |",
+        end="",
+    )
+    print(" MILP over 0.1 X, one direction, s |\n| --- | ---: | ---: | ---: | ---: | ---: |")
+    found = []
+    for kind, layers, width, pool in SHAPES:
+        network = random_network(kind, layers, width, pool)
+        build = seconds(partial(build_anew, system, network), 3)
+        loop = mr.ClosedLoop(system, network)
+        step = seconds(partial(mr.support, loop, system.state_set, V), 20)
+        by_milp = milp_seconds(loop, system.state_set.scale(0.1), V[:1])
+        count = len(cells.cells(loop))
+        name = f"{kind} {layers} x {width}" + (f", pool {pool}" if kind == "maxout" else "")
+        took = f"{by_milp:.3g}" if by_milp < TIME_LIMIT else f"> {TIME_LIMIT:g}"
+        print(f"| {name} | {network.binaries} | {count} | {build:.3g} | {step * 1e3:.3g} | {took} |", flush=True)
+        found.append((kind, layers * width, count, build, step, by_milp))
+    return found
+
+
+def build_anew(system, network):
+    """The cells under a copy of the network, so that nothing is cached."""
+    return cells.cells(mr.ClosedLoop(system, mr.MaxoutNetwork(network.hidden, network.weight, network.bias)))
+
+
+def milp_seconds(loop, F, V, steps=1):
+    """Seconds of one support by the MILP, or inf if the time limit came first."""
+    begin = perf_counter()
+    try:
+        mr.support(loop, F, V, steps, engine="milp", time_limit=TIME_LIMIT)
+    except SolverStopped:
+        return np.inf
+    return perf_counter() - begin
+
+
+def steps():
+    """Lemma 2: h of R_k(F_max) along one direction by both engines: rows (case, k, cells, MILP)."""
+    print("| case | k | cells, s | MILP, s | difference of the bounds |\n| --- | ---: | ---: | ---: | ---: |")
+    found = []
+    for name, most in STEPS.items():
+        case = mr.case_study(name)
+        F, V = mr.safe_set(case.loop, case.safe_directions).set, case.directions[:1]
+        for k in range(1, most + 1):
+            by_cells = seconds(partial(mr.support, case.loop, F, V, k), 1)
+            by_milp = milp_seconds(case.loop, F, V, k)
+            if np.isfinite(by_milp):
+                apart = mr.support(case.loop, F, V, k, engine="milp").bound - mr.support(case.loop, F, V, k).bound
+                print(f"| {name} | {k} | {by_cells:.3g} | {by_milp:.3g} | {apart[0]:.2g} |", flush=True)
+            else:
+                print(f"| {name} | {k} | {by_cells:.3g} | > {TIME_LIMIT:g} | - |", flush=True)
+            found.append((name, k, by_cells, by_milp))
+    return found
+
+
+def main():
+    rows, longer = networks(), steps()
+    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    plotting.plot_growth(figure.subplots(1, 3), rows, longer)
+    for form in ("svg", "png"):
+        path = ROOT / "docs" / "figures" / f"growth.{form}"
+        if form == "svg":
+            plotting.save_svg(figure, path, bbox_inches="tight")
+        else:
+            figure.savefig(path, dpi=150, bbox_inches="tight")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
