@@ -142,9 +142,8 @@ def _template(loop, history):
 
 def _offsets(loop, R, C):
     """Offsets of a set along C: its own, those of X, and room along rows that only restate it."""
-    own = R & loop.system.state_set
-    known = {}
-    for row, offset in zip(own.H + 0.0, [*R.h, *map(_floor, loop.system.state_set.h)]):
+    X, known = loop.system.state_set, {}
+    for row, offset in zip(np.vstack([R.H, X.H]) + 0.0, [*R.h, *map(_floor, X.h)]):
         known[row.tobytes()] = min(offset, known.get(row.tobytes(), np.inf))
     loose = R.support(C) + LOOSE
     return np.array([known.get(row.tobytes(), room) for row, room in zip(C, loose)])
@@ -252,14 +251,14 @@ def _growth_of_offsets(C, before, h, centre):
 def _settled(content):
     """Ask the checker; a claim that it refutes becomes "not proven", with the witness. Returns its last Report."""
     report = checker.check(checker.parse(json.dumps(content)))
-    claims, refuted = content["claims"], [result for result in report.results if result.verdict == "refuted"]
-    if any(result.claim == "criterion" for result in refuted):  # it is decided exactly, one way or the other
+    claims, refuted = content["claims"], {one.claim: one for one in report.results if one.verdict == "refuted"}
+    if "criterion" in refuted and "terminal_set" not in refuted:  # it is decided exactly, one way or the other
         claims["criterion"]["holds"] = not claims["criterion"]["holds"]
         return _settled(content)
-    for result in refuted:
-        claims[result.claim] |= {"verdict": "not proven", "reason": result.reason}
+    for name, result in refuted.items():
+        claims[name] |= {"verdict": "not proven", "reason": result.reason}
         if result.witness is not None:
-            claims[result.claim]["witness"] = result.witness
+            claims[name]["witness"] = result.witness
     return report
 
 

@@ -31,13 +31,13 @@ import json
 import re
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
-from math import gcd, lcm
+from math import gcd, lcm, prod
 from operator import mul
-from pathlib import Path
 
 FORMAT, NETWORK = "mireach-certificate/1", "mireach-network/1"
 CLAIMS = {
@@ -54,13 +54,17 @@ OF_SEQUENCE, OF_PLANT = ("sequence", "terminal_set", "criterion", "theorem_1"), 
 VERDICTS = ("proven", "bounded", "not proven")  # what a certificate says itself; bounded: by a solver, not in the plane
 
 SECONDS = 600  # after which the rest is "not checked"
-MOST_BYTES = 20_000_000  # of a file
+MOST_BYTES = 2_000_000  # of a file
+MOST_LEVELS = 20  # of lists and objects in one another
 MOST_ENTRIES = 2_000  # of one list
+MOST_LAYERS = 100  # of a network
 MOST_DIGITS = 4_000  # of a fraction that is read or written
+MOST_POWERS = 20  # of a term of f, together
+MOST_TERMS = 10_000  # of a component of f, counted after (x + c)^k was multiplied out
 MOST_BOXES = 20_000  # into which a region is split to bound the error of one mode
 SHORT = 12  # decimals at most of a witness that is not printed as fractions
 NUMERAL = re.compile(r"-?\d{1,40}(\.\d{1,40})?([eE][+-]?\d{1,3})?")
-FRACTION = re.compile(rf"-?\d{{1,{MOST_DIGITS}}}(/\d{{1,{MOST_DIGITS}}})?")
+FRACTION = re.compile(rf"-?[0-9]{{1,{MOST_DIGITS}}}(/[1-9][0-9]{{0,{MOST_DIGITS - 1}}})?")
 
 
 class Malformed(ValueError):
@@ -164,21 +168,34 @@ def check(content, network=None, ignore_digest=True, seconds=SECONDS):
 
 def read(path):
     """The content of a JSON file as `parse` has it; Malformed if it is none, or too large."""
-    if Path(path).stat().st_size > MOST_BYTES:
+    with open(path, "rb") as file:
+        text = file.read(MOST_BYTES + 1)
+    if len(text) > MOST_BYTES:
         raise Malformed(f"{path} has more than {MOST_BYTES} bytes")
-    return parse(Path(path).read_bytes())
+    return parse(text)
 
 
 def parse(text):
     """JSON with every number as a Numeral; Malformed if it is not plain JSON with numbers of reasonable size."""
     try:
-        return json.loads(
+        content = json.loads(
             text, parse_int=numeral, parse_float=numeral, parse_constant=numeral, object_pairs_hook=without_duplicates
         )
     except Malformed:
         raise
     except (ValueError, RecursionError) as error:
         raise Malformed(f"this is not JSON, or only a part of it: {error}") from error
+    level = [content]
+    for _ in range(MOST_LEVELS):
+        level = [entry for value in level if isinstance(value, (list, dict)) for entry in entries(value)]
+    if level:
+        raise Malformed(f"lists and objects stand in one another more than {MOST_LEVELS} levels deep")
+    return content
+
+
+def entries(value):
+    """What a list or a dict holds."""
+    return value.values() if isinstance(value, dict) else value
 
 
 def numeral(text):
@@ -190,8 +207,8 @@ def numeral(text):
 def without_duplicates(pairs):
     found = dict(pairs)
     if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise Malformed(f"the key {next(name for name in names if names.count(name) > 1)!r} stands there twice")
+        ((name, _),) = Counter(name for name, _ in pairs).most_common(1)
+        raise Malformed(f"the key {name[:50]!r} stands there twice")
     return found
 
 
@@ -222,6 +239,14 @@ def decimal(value, where):
     return Fraction(value)
 
 
+def natural(value, where):
+    """A whole number from 0 on."""
+    found = decimal(value, where)
+    if found < 0 or found.denominator > 1:
+        raise Malformed(f"{where}: {value} is no whole number from 0 on")
+    return int(found)
+
+
 def binary(value, where):
     """A number as the float that it stands for."""
     if not isinstance(value, Numeral) or abs(float(value)) == float("inf"):
@@ -231,7 +256,7 @@ def binary(value, where):
 
 def fraction(value, where):
     """Text of the form p/q."""
-    if not isinstance(value, str) or not FRACTION.fullmatch(value) or value.endswith("/0"):
+    if type(value) is not str or not FRACTION.fullmatch(value):  # a Numeral is none
         raise Malformed(f"{where}: {str(value)[:50]!r} is no fraction")
     return Fraction(value)
 
@@ -305,17 +330,17 @@ class Network:
     @staticmethod
     def of(value):
         name, layers, output = fields(value, "the network", ("format", "hidden", "output"))
-        if name != NETWORK or not isinstance(layers, list):
-            raise Malformed(f"the network should have the format {NETWORK!r} and a list of hidden layers")
+        if name != NETWORK or not isinstance(layers, list) or len(layers) > MOST_LAYERS:
+            raise Malformed(f"the network should have the format {NETWORK!r} and at most {MOST_LAYERS} hidden layers")
         hidden, columns = [], None
         for number, layer in enumerate(layers, start=1):
             where = f"hidden layer {number}"
             weight, bias, pool = fields(layer, where, ("weight", "bias", "pool"))
-            rows, pool = Network._rows(weight, bias, columns, where), decimal(pool, where)
+            rows, pool = Network._rows(weight, bias, columns, where), natural(pool, where)
             if pool < 1 or len(rows) % pool:
                 raise Malformed(f"{where} has {len(rows)} rows, which do not divide into groups of {pool}")
-            hidden.append((rows, int(pool)))
-            columns = len(rows) // int(pool)
+            hidden.append((rows, pool))
+            columns = len(rows) // pool
         return Network(
             tuple(hidden), Network._rows(*fields(output, "the output", ("weight", "bias")), columns, "the output")
         )
@@ -334,9 +359,9 @@ class Network:
     def __call__(self, x):
         """Phi(x) of fractions, from its definition."""
         for rows, pool in self.hidden:
-            z = [dot(row, (*x, 1)) for row in rows]
+            z = affine(rows, x)
             x = [max(z[i : i + pool]) for i in range(0, len(z), pool)]
-        return tuple(dot(row, (*x, 1)) for row in self.output)
+        return tuple(affine(self.output, x))
 
 
 @dataclass(frozen=True)
@@ -366,6 +391,8 @@ class Certificate:
         if not isinstance(modes, list) or not 0 < len(modes) <= MOST_ENTRIES or not n:
             raise Malformed("the system should have a list of modes and at least one state")
         C = matrix(template, binary, "the template", n)
+        if not all(map(any, C)):
+            raise Malformed("the template has a row of zeros, which is no direction")
         sets = matrix(sets, binary, "sets", len(C))
         names = ("inputs", "safe_set", *OF_SEQUENCE * (len(sets) > 1), *OF_PLANT * ("plant" in content))
         return Certificate(
@@ -384,7 +411,7 @@ def read_claim(name, value, n):
     """What a claim says, numbers as fractions."""
     where = f"the claim {name!r}"
     kinds = {
-        "steps": lambda v: decimal(v, where),
+        "steps": lambda v: natural(v, where),
         "epsilon": lambda v: decimal(v, where),
         "centre": lambda v: vector(v, decimal, where, n),
         "alpha": lambda v: None if v is None else fraction(v, where),
@@ -411,17 +438,16 @@ def read_plant(value, n, size):
         raise Malformed(f"f should be {n} lists of terms")
     components = []
     for terms in f:
-        found = {}
-        for term in terms[: MOST_ENTRIES + 1]:
+        found, count = {}, 0
+        for term in terms:
             coefficient, powers = fields(term, "a term of f", ("coefficient", "powers"))
-            powers = vector(powers, decimal, "the powers of f", size)
-            if any(power.denominator > 1 or power < 0 for power in powers) or sum(powers) > 20 or powers in found:
-                raise Malformed(
-                    f"the powers {list(map(str, powers))} of f are not whole, too high, or stand there twice"
-                )
-            found[tuple(map(int, powers))] = decimal(coefficient, "f")
-        if len(found) > MOST_ENTRIES:
-            raise Malformed(f"a component of f has more than {MOST_ENTRIES} terms")
+            powers = vector(powers, natural, "the powers of f", size)
+            count += prod(power + 1 for power in powers)
+            if sum(powers) > MOST_POWERS or count > MOST_TERMS:
+                raise Malformed(f"f has powers above {MOST_POWERS}, or more than {MOST_TERMS} terms if multiplied out")
+            if powers in found:
+                raise Malformed(f"the powers {powers} of f stand there twice")
+            found[powers] = decimal(coefficient, "f")
         components.append(found)
     return tuple(components)
 
@@ -433,7 +459,9 @@ def read_bounds(value, n, count, rows):
     if value is None:
         return None
     solver, offsets = fields(value, "bounds", ("solver", "offsets"))
-    return str(solver)[:50], matrix(offsets, binary, "bounds", rows, count)
+    if type(solver) is not str or not (solver.isascii() and solver.isprintable()) or len(solver) > 50:
+        raise Malformed("the name of a solver has at most 50 printable letters")
+    return solver, matrix(offsets, binary, "bounds", rows, count)
 
 
 # -- the plane ----------------------------------------------------------------------------------------
@@ -448,6 +476,12 @@ def whole(row):
     """A row of fractions as whole numbers, and the number by which it was multiplied for that."""
     unit = lcm(*(entry.denominator for entry in row))
     return tuple(entry.numerator * (unit // entry.denominator) for entry in row), unit
+
+
+def affine(rows, x):
+    """w x + b for each row (w, b) of fractions, reduced once a row."""
+    x, unit = whole((*x, 1))
+    return [Fraction(dot(row, x), own * unit) for row, own in map(whole, rows)]
 
 
 def half_plane(a, b):
@@ -488,31 +522,27 @@ def clip(corners, line):
     return list(dict.fromkeys(kept))  # a segment meets the line on its way there and on its way back
 
 
-def clip_all(corners, lines):
+def clip_all(corners, lines, clock):
     """The part of a polygon in all half-planes."""
     for line in lines:
+        clock()
         if not corners:
             break
         corners = clip(corners, line)
     return corners
 
 
-def polygon(rows, where):
+def polygon(rows, where, clock):
     """The corners of {x : a x <= b for every row (a, b)}; Malformed if it is not bounded.
 
     For whole a and b no coordinate of a corner exceeds 2 max|a| max|b|, by Cramer's rule: a square beyond that is cut.
     """
     lines = [half_plane(a, b) for a, b in rows]
     half = 2 * max(max(abs(a), abs(b)) for a, b, _ in lines) * max(abs(c) for _, _, c in lines) + 1
-    corners = clip_all([(-half, -half, 1), (half, -half, 1), (half, half, 1), (-half, half, 1)], lines)
+    corners = clip_all([(-half, -half, 1), (half, -half, 1), (half, half, 1), (-half, half, 1)], lines, clock)
     if any(max(abs(X), abs(Y)) == half * W for X, Y, W in corners):
         raise Malformed(f"{where} is not bounded")
     return corners
-
-
-def support(corners, a):
-    """max a x over a polygon."""
-    return max(dot(a, x) for x in map(point, corners))
 
 
 def middle(corners):
@@ -568,16 +598,19 @@ def winners(corners, channels, clock):
 
     Parts of lower dimension than the polygon are left out: Phi is continuous, and their neighbours hold them.
     """
-    values = [[at(form, x) for x in corners] for form in channels]
-    largest = [max(column) for column in zip(*values)]
-    for form, own in zip(channels, values):
+    heights = []
+    for form in channels:
+        clock()
+        heights.append([at(form, x) for x in corners])
+    largest = [max(column) for column in zip(*heights)]
+    for form, own in zip(channels, heights):
         if own == largest:
             return [(corners, form)]
     found = []
     for j, form in enumerate(channels):
-        clock()
         part = corners
         for i, other in enumerate(channels):
+            clock()
             if i == j or dimension(part) < dimension(corners):
                 continue
             ahead = tuple(b - a for a, b in zip(form, other))
@@ -596,6 +629,7 @@ def affine_pieces(network, domain, clock):
         rows, own = over_one_unit(fractions)
         following = []
         for corners, forms, unit in pieces:
+            clock()
             channels = [combine(row, forms, unit) for row in rows]
             parts = [(corners, [])]
             for start in range(0, len(channels), pool):
@@ -638,7 +672,7 @@ class Claims:
     def __init__(self, certificate, seconds):
         self.certificate, self.seconds, self.end = certificate, seconds, time.monotonic() + seconds
         self.sets, self.last, self.n = certificate.sets, len(certificate.sets) - 1, len(certificate.modes[0].A)
-        self.found = {}
+        self.found, self.spread = {}, {}
 
     def results(self):
         """One Result a claim, in the order of `CLAIMS`."""
@@ -657,6 +691,7 @@ class Claims:
             return self._by_solver()
         for corners, forms, unit in self._pieces:
             for a, b in self.certificate.input_set:
+                self._clock()
                 excess = combine(half_plane(a, b), forms, unit)
                 for x in corners:
                     if at(excess, x) > 0:
@@ -670,9 +705,8 @@ class Claims:
             return self._by_solver(0, 0)
         if not self._polygons[0]:
             return refuted("F_max is empty")
-        outside = self._outside(0, self.certificate.state_set)
-        if outside:
-            return refuted(f"x = {show(outside)} lies in F_max, but not in X", state(outside))
+        if found := self._beyond(0):
+            return found
         cells, gap = self._cells_and_gap
         if gap:
             return refuted(f"x = {show(gap)} lies in F_max and has no successor: no region contains it", state(gap))
@@ -705,8 +739,8 @@ class Claims:
         c, epsilon = claim["centre"], claim["epsilon"]
         apart = [b - dot(a, c) for a, b in self.sets[-1]]
         S = [(a, b - room * epsilon / (1 + epsilon)) for (a, b), room in zip(self.sets[-1], apart)]
-        corners = polygon(S, "S") if min(apart) >= 0 else []  # c lies in R_k
-        holds = bool(corners) and all(self._attains(S, a, support(corners, a)) for a, _ in S)
+        corners = polygon(S, "S", self._clock) if min(apart) >= 0 else []  # c lies in R_k
+        holds = bool(corners) and all(self._attains(S, a, self._support(corners, a)) for a, _ in S)
         says = f"eq. TerminationFmin about {show(c)} with epsilon = {about(epsilon)} {'holds' if holds else 'fails'}"
         return proven(says) if holds == claim["holds"] else refuted(says)
 
@@ -715,7 +749,7 @@ class Claims:
         c, R = claim["centre"], self._polygons[-1] if self.n == 2 else None
         if R == []:
             return refuted("the terminal set is empty")
-        sizes = [support(R, a) for a, _ in self.sets[-2]] if self.n == 2 else [b for _, b in self.sets[-1]]
+        sizes = [self._support(R, a) for a, _ in self.sets[-2]] if self.n == 2 else [b for _, b in self.sets[-1]]
         apart = [(b - dot(a, c), size - dot(a, c)) for (a, b), size in zip(self.sets[-2], sizes)]
         alpha = min(before / size for before, size in apart) if min(size for _, size in apart) > 0 else None
         says = "there is no alpha, for c is not inside R_k" if alpha is None else f"alpha = {beside_one(alpha)}"
@@ -781,7 +815,7 @@ class Claims:
 
     @cached_property
     def _pieces(self):
-        X = polygon(self.certificate.state_set, "the state set")
+        X = polygon(self.certificate.state_set, "the state set", self._clock)
         if not X:
             raise Malformed("the state set is empty")
         return affine_pieces(self.certificate.network, X, self._clock)
@@ -789,14 +823,14 @@ class Claims:
     @cached_property
     def _polygons(self):
         """The corners of every set."""
-        return [polygon(rows, f"R_{k}") for k, rows in enumerate(self.sets)]
+        return [polygon(rows, f"R_{k}", self._clock) for k, rows in enumerate(self.sets)]
 
     @cached_property
     def _disturbances(self):
         """The corners of D of every mode, as points."""
         found = []
         for number, mode in enumerate(self.certificate.modes, start=1):
-            corners = polygon(mode.disturbance, f"the disturbance set of mode {number}")
+            corners = polygon(mode.disturbance, f"the disturbance set of mode {number}", self._clock)
             if not corners:
                 raise Malformed(f"the disturbance set of mode {number} is empty")
             found.append([point(d) for d in corners])
@@ -811,36 +845,42 @@ class Claims:
         regions = [[half_plane(a, b) for a, b in mode.region] for mode in modes]
         for piece, forms, unit in self._pieces:
             self._clock()
-            corners = clip_all(piece, F)
+            corners = clip_all(piece, F, self._clock)
             if not corners:
                 continue
             z = [(unit, 0, 0), (0, unit, 0), *forms]  # the forms of (x, u)
             lines = [[combine(row, z, unit) for row in region] for region in regions]
             for number, (rows, own) in enumerate(maps):
-                part = clip_all(corners, lines[number])
+                part = clip_all(corners, lines[number], self._clock)
                 if part:
                     cells.append(Cell(part, number, [combine(row, z, unit) for row in rows], unit * own))
             bare = uncovered(corners, lines, self._clock)
             gap = gap or (middle(bare) if bare else None)
         return cells, gap
 
-    def _outside(self, k, rows):
-        """A state of R_k that is not in {x : rows}, or None."""
-        for a, b in rows:
-            for x in map(point, self._polygons[k]):
-                if dot(a, x) > b:
-                    return x
+    def _beyond(self, k):
+        """None if R_k lies in F_max and in X, where the cells are."""
+        for place, rows in (("F_max", self.sets[0]), ("X", self.certificate.state_set)):
+            for a, b in rows:
+                self._clock()
+                line = half_plane(a, b)
+                for x in self._polygons[k]:
+                    if at(line, x) > 0:
+                        return refuted(f"x = {show(point(x))} lies in {name(k)}, but not in {place}", state(point(x)))
         return None
 
-    def _beyond(self, k):
-        """None if R_k lies in F_max, where the cells are."""
-        x = self._outside(k, self.sets[0])
-        return x and refuted(f"x = {show(x)} lies in {name(k)}, but not in F_max", state(x))
+    def _support(self, corners, a):
+        """max a x over a polygon."""
+        self._clock()
+        return max(dot(a, x) for x in map(point, corners))
 
     def _excess(self, a, b, cell):
         """The line that is positive where a (A x + B Phi(x) + p + d) > b for some d in D of the cell's mode."""
+        key = cell.mode, a
+        if key not in self.spread:
+            self.spread[key] = max(dot(a, d) for d in self._disturbances[cell.mode])
         row, scale = whole(a)
-        rest = (max(dot(a, d) for d in self._disturbances[cell.mode]) - b) * scale
+        rest = (self.spread[key] - b) * scale
         x, y, w = (rest.denominator * dot(row, entries) for entries in zip(*cell.after))
         return x, y, w + rest.numerator * cell.unit
 
@@ -848,12 +888,12 @@ class Claims:
         """None if the image of R_k lies in R_j."""
         lines = [half_plane(a, b) for a, b in self.sets[k]]
         for cell in self._cells_and_gap[0]:
-            self._clock()
-            corners = clip_all(cell.corners, lines)
+            corners = clip_all(cell.corners, lines, self._clock)
             for a, b in self.sets[j] if corners else ():
+                self._clock()
                 excess = self._excess(a, b, cell)
-                worst = max(corners, key=lambda x: Fraction(at(excess, x), x[2]))
-                if at(excess, worst) > 0:
+                if any(at(excess, x) > 0 for x in corners):
+                    worst = max(corners, key=lambda x: Fraction(at(excess, x), x[2]))
                     return self._step_out(k, j, a, b, cell.mode, point(worst))
         return None
 
@@ -864,7 +904,7 @@ class Claims:
             self._clock()
             excess = self._excess(a, level, cell)
             if any(at(excess, x) >= 0 for x in cell.corners):
-                if any(at(excess, x) >= 0 for x in clip_all(cell.corners, lines)):
+                if any(at(excess, x) >= 0 for x in clip_all(cell.corners, lines, self._clock)):
                     return True
         return False
 
@@ -1008,7 +1048,7 @@ def largest(g, size):
 
 def texts(values):
     """Fractions as text, without rounding; None for one that would fill pages."""
-    return [str(value) if value.denominator < 10**MOST_DIGITS else None for value in values]
+    return [str(value) if max(abs(value.numerator), value.denominator) < 10**MOST_DIGITS else None for value in values]
 
 
 def name(k):

@@ -1,0 +1,652 @@
+"""Small random certificates, mutations of their text, and an oracle of claims that shares no code with the checker.
+
+The oracle reads the text itself, lists corners by brute force in fractions, replays random steps in fractions, and asks
+the exact engine and `prove_error` about a loop that it builds from the floats of the text.
+"""
+
+import json
+import re
+import warnings
+from dataclasses import replace
+from fractions import Fraction
+from functools import cached_property, lru_cache, wraps
+from itertools import combinations
+from unittest.mock import patch
+
+import numpy as np
+import shapely
+from loops import enclosing_inputs, exact_input, random_loop
+
+import mireach as mr
+from mireach import checker
+from mireach.certificate import make
+from mireach.engines import exact
+
+SAMPLES = 3  # corners, and random states, that are replayed for one image
+SMALLEST, LARGEST = Fraction("1e-300"), 10**15  # beyond these the engines' floats are of no use: fractions alone judge
+UNDECIDED = 1e-11  # a criterion closer to equality than this is not judged by the oracle's floats
+ROUNDED = 1e-12  # what an image may exceed if the text has numbers that are no shortest decimal of a float
+ERROR = 1e-9  # by which `prove_error` ends its search
+
+# -- builders -----------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=128)
+def random_certificate(seed):
+    """The text of a small certificate: regions of x or of (x, u), jumps, D by mode, sometimes a plant."""
+    rng = np.random.default_rng(seed)
+    with_plant = seed % 4 == 3
+    cuts, layers = 0 if with_plant else int(rng.integers(1, 3)), int(rng.integers(1, 3))
+    loop = random_loop(seed, cuts=cuts, with_input=seed % 2 == 1, layers=layers)
+    plant = None
+    if with_plant:
+        loop, plant = near_polynomial(loop, rng)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for _ in range(8):
+            loop = contracted(loop, 0.6)
+            safe = mr.safe_set(loop, mr.directions(int(rng.integers(4, 9))))
+            if safe.set is not None and (mr.directions(8) @ safe.set.chebyshev()[0]).max() < 10:
+                break
+        if plant is not None:  # of the loop as it is now
+            plant = mr.NonlinearSystem(polynomial(loop.system.modes[0]), plant.state_set, plant.input_set)
+        terminal = mr.terminal_set(loop, safe, mr.directions(4), 0.05, max_steps=5) if seed % 5 else None
+        return json.dumps(make(loop, safe, terminal, plant=plant).content)
+
+
+def contracted(loop, factor):
+    """The loop with smaller A, B and p."""
+    modes = [replace(mode, A=factor * mode.A, B=factor * mode.B, p=factor * mode.p) for mode in loop.system.modes]
+    return mr.ClosedLoop(replace(loop.system, modes=modes), loop.network)
+
+
+def near_polynomial(loop, rng):
+    """The loop with a D that holds the error of `polynomial`, and a plant."""
+    U = loop.system.input_set
+    reach = 0.01 * max(np.abs(loop.system.state_set.h)) ** 2 + 0.002 * max(np.abs(U.h)) + 0.01
+    loop = loop.with_disturbance(mr.Polytope.box([-reach, -reach], [reach, reach]))
+    return loop, mr.NonlinearSystem(lambda x, u: x, loop.system.state_set, U)
+
+
+def polynomial(mode):
+    """f that is a mode's map and a little more."""
+    A, B, p = mode.A.tolist(), mode.B.tolist(), mode.p.tolist()
+
+    def f(x, u):
+        more = (0.01 * x[0] * x[1], 0.01 * x[1] ** 2 - 0.002 * u[0])
+        return [A[i][0] * x[0] + A[i][1] * x[1] + B[i][0] * u[0] + p[i] + more[i] for i in range(2)]
+
+    return f
+
+
+# -- mutations ----------------------------------------------------------------------------------------
+
+STRANGE = (None, True, "", [], {}, -1, 1e300, "x")
+
+
+def nodes(value, path=()):
+    """The paths of all nodes of a JSON tree, the root left out."""
+    for key in value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ():
+        yield (*path, key)
+        yield from nodes(value[key], (*path, key))
+
+
+def get(content, path):
+    for key in path:
+        content = content[key]
+    return content
+
+
+def put(content, path, value):
+    get(content, path[:-1])[path[-1]] = value
+
+
+def is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def pick(content, rng, wanted):
+    """A random path whose value is wanted; None if there is none."""
+    paths = [path for path in nodes(content) if wanted(get(content, path))]
+    return paths[rng.integers(len(paths))] if paths else None
+
+
+def change_digit(text, rng):
+    places = [i for i, letter in enumerate(text) if letter.isdigit()]
+    i = places[rng.integers(len(places))]
+    return text[:i] + str((int(text[i]) + rng.integers(1, 10)) % 10) + text[i + 1 :]
+
+
+def cut_off(text, rng):
+    return text[: rng.integers(len(text))]
+
+
+def double_key(text, rng):
+    places = [i for i, letter in enumerate(text) if letter == "{"]
+    i = places[rng.integers(len(places))] + 1
+    key = text[i:].split(":")[0]
+    return f"{text[:i]}{key}: null, {text[i:]}"
+
+
+def of_tree(change):
+    """A mutation of the tree as one of the text."""
+
+    def mutate(text, rng):
+        content = json.loads(text)
+        return json.dumps(change(content, rng) or content)
+
+    return mutate
+
+
+def change_sign(content, rng):
+    path = pick(content, rng, lambda value: is_number(value) and value)
+    put(content, path, -get(content, path))
+
+
+def change_slightly(content, rng):
+    """Anything between one ulp and a factor of two."""
+    path = pick(content, rng, lambda value: isinstance(value, float) and value)
+    value = get(content, path)
+    share = 10.0 ** -rng.integers(1, 17) * rng.choice([-1, 1])
+    put(content, path, value * (1 + share) if rng.random() < 0.8 else float(np.nextafter(value, 9 * rng.normal())))
+
+
+def move_set(content, rng):
+    """The offsets of one set, or of all, a little larger or smaller."""
+    sets = content["sets"]
+    chosen = range(len(sets)) if rng.random() < 0.5 else [rng.integers(len(sets))]
+    size = 10.0 ** -rng.integers(1, 13) * rng.choice([-1, 1])
+    for k in chosen:
+        sets[k] = [offset + size for offset in sets[k]]
+
+
+def move_one_offset(content, rng):
+    row = content["sets"][rng.integers(len(content["sets"]))]
+    row[rng.integers(len(row))] += 10.0 ** -rng.integers(0, 14) * rng.choice([-1, 1])
+
+
+def change_plant_slightly(content, rng):
+    """An entry of A, B, p, D, X or U moved by few digits."""
+    path = pick(content["system"], rng, is_number)
+    value = get(content["system"], path)
+    put(content["system"], path, round(value + 10.0 ** -rng.integers(0, 10) * rng.choice([-1, 1]), 12))
+
+
+def change_network_slightly(content, rng):
+    path = pick(content["network"], rng, lambda value: isinstance(value, float))
+    put(content["network"], path, get(content["network"], path) + 10.0 ** -rng.integers(0, 14) * rng.choice([-1, 1]))
+
+
+def swap_entries(content, rng):
+    path = pick(content, rng, lambda value: isinstance(value, list) and len(value) > 1)
+    value = get(content, path)
+    i, j = rng.choice(len(value), 2, replace=False)
+    value[i], value[j] = value[j], value[i]
+
+
+def swap_sets(content, rng):
+    sets = content["sets"]
+    i, j = rng.integers(len(sets), size=2)
+    sets[i], sets[j] = sets[j], sets[i]
+
+
+def copy_set(content, rng):
+    sets = content["sets"]
+    i, j = rng.integers(len(sets), size=2)
+    sets[i] = list(sets[j])
+
+
+def swap_layers(content, rng):
+    hidden = content["network"]["hidden"]
+    i, j = rng.integers(len(hidden), size=2)
+    hidden[i], hidden[j] = hidden[j], hidden[i]
+
+
+def other_network(content, rng):
+    """Every weight drawn anew."""
+    for path in list(nodes(content["network"])):
+        if isinstance(get(content["network"], path), float):
+            put(content["network"], path, float(0.5 * rng.normal()))
+
+
+def delete(content, rng):
+    paths = list(nodes(content))
+    path = paths[rng.integers(len(paths))]
+    del get(content, path[:-1])[path[-1]]
+
+
+def delete_claim(content, rng):
+    del content["claims"][rng.choice(list(content["claims"]))]
+
+
+def delete_set(content, rng):
+    """One set less, and one step less, as a careful forger would."""
+    if len(content["sets"]) > 2:
+        del content["sets"][rng.integers(len(content["sets"]))]
+        content["claims"]["terminal_set"]["steps"] -= 1
+
+
+def double_entry(content, rng):
+    path = pick(content, rng, lambda value: isinstance(value, list) and value)
+    value = get(content, path)
+    value.insert(rng.integers(len(value) + 1), value[rng.integers(len(value))])
+
+
+def add_key(content, rng):
+    path = pick(content, rng, lambda value: isinstance(value, dict))
+    get(content, path)[str(rng.choice(["reason", "witness", "bounds", "plant", "digest", "more"]))] = None
+
+
+def flip(content, rng):
+    path = pick(content, rng, lambda value: isinstance(value, bool))
+    if path is None:
+        return change_verdict(content, rng)
+    return put(content, path, not get(content, path))
+
+
+def change_verdict(content, rng):
+    content["claims"][rng.choice(list(content["claims"]))]["verdict"] = str(
+        rng.choice(["proven", "bounded", "not proven", "true"])
+    )
+
+
+def change_alpha(content, rng):
+    claim = content["claims"].get("theorem_1", {"alpha": None})
+    alpha = Fraction(claim["alpha"] or 1)
+    claim["alpha"] = str(
+        rng.choice([alpha + Fraction(1, 10**30), -alpha, 1 / alpha, "1/0", "1/00", "nan", f"{alpha}0"])
+    )
+    claim["stable"] = bool(rng.integers(2))
+
+
+def change_centre(content, rng):
+    for name in ("criterion", "theorem_1"):
+        if name in content["claims"]:
+            content["claims"][name]["centre"] = (rng.normal(size=2) * rng.choice([0.1, 3])).round(3).tolist()
+
+
+def change_epsilon(content, rng):
+    if "criterion" in content["claims"]:
+        content["claims"]["criterion"]["epsilon"] = float(rng.choice([1e-9, 0.5, 10.0, 0.0, -1.0]))
+
+
+def change_version(content, rng):
+    place = content if rng.random() < 0.5 else content["network"]
+    place["format"] = str(rng.choice(["mireach-certificate/2", "mireach-network/1", "mireach-certificate/1", ""]))
+
+
+def change_type(content, rng):
+    paths = list(nodes(content))
+    put(content, paths[rng.integers(len(paths))], STRANGE[rng.integers(len(STRANGE))])
+
+
+def huge_number(text, rng):
+    """A number with an exponent that ends in nothing or in everything."""
+    content, mark = json.loads(text), "12345e54321"
+    put(content, pick(content, rng, is_number), mark)
+    exponent = rng.choice(["e999", "e-999", "e99999999", "e300", "e-300", "9" * 60])
+    return json.dumps(content).replace(f'"{mark}"', f"{rng.choice(['', '-'])}1{exponent}")
+
+
+def huge_list(content, rng):
+    path = pick(content, rng, lambda value: isinstance(value, list) and value)
+    put(content, path, get(content, path) * int(rng.choice([2, 50, 3000])))
+
+
+def write_otherwise(text, rng):
+    """The same content: keys in another order, other white space, more zeros."""
+
+    def turned(value):
+        if isinstance(value, dict):
+            return {key: turned(value[key]) for key in reversed(value)}
+        return [turned(entry) for entry in value] if isinstance(value, list) else value
+
+    return re.sub(r"(?<=[ -])0\.0(?=[,\s])", "0.000e2", json.dumps(turned(json.loads(text)), indent=1))
+
+
+MUTATIONS = {
+    "a digit": change_digit,
+    "a sign": of_tree(change_sign),
+    "a number, slightly": of_tree(change_slightly),
+    "a set moved": of_tree(move_set),
+    "an offset moved": of_tree(move_one_offset),
+    "the plant, slightly": of_tree(change_plant_slightly),
+    "the network, slightly": of_tree(change_network_slightly),
+    "two entries swapped": of_tree(swap_entries),
+    "two sets swapped": of_tree(swap_sets),
+    "a set copied": of_tree(copy_set),
+    "two layers swapped": of_tree(swap_layers),
+    "another network": of_tree(other_network),
+    "an entry deleted": of_tree(delete),
+    "a claim deleted": of_tree(delete_claim),
+    "a set deleted": of_tree(delete_set),
+    "an entry doubled": of_tree(double_entry),
+    "a key added": of_tree(add_key),
+    "a key doubled": double_key,
+    "a truth flipped": of_tree(flip),
+    "a verdict": of_tree(change_verdict),
+    "alpha": of_tree(change_alpha),
+    "the centre": of_tree(change_centre),
+    "epsilon": of_tree(change_epsilon),
+    "the version": of_tree(change_version),
+    "a type": of_tree(change_type),
+    "a huge number": huge_number,
+    "a huge list": of_tree(huge_list),
+    "cut off": cut_off,
+    "written otherwise": write_otherwise,
+}
+
+OUTCOMES = ("refused", "refuted", "not checked", "accepted")
+
+
+def outcome(text, ignore_digest=True, seconds=60):
+    """One of `OUTCOMES`, or "named" where the digest does, and the checker's Report (None if refused)."""
+    try:
+        report = checker.check(checker.parse(text), ignore_digest=ignore_digest, seconds=seconds)
+    except checker.Malformed:
+        return "refused", None
+    if not ignore_digest and report.digest != "as written":
+        assert not report.proven
+        return "named", report
+    verdicts = {result.verdict for result in report.results}
+    return next((verdict for verdict in ("refuted", "not checked") if verdict in verdicts), "accepted"), report
+
+
+# -- the oracle ---------------------------------------------------------------------------------------
+
+
+def false_claims(text, report):
+    """The names of claims that the report calls proven and the oracle does not confirm."""
+    proven = [result.claim for result in report.results if result.verdict == "proven"]
+    oracle = Oracle(json.loads(text, parse_int=Fraction, parse_float=Fraction)) if proven else None
+    return [name for name in proven if not oracle.confirms(name)]
+
+
+def dot(a, x):
+    return sum((entry * value for entry, value in zip(a, x)), Fraction(0))
+
+
+def holds(rows, x):
+    """Whether a rational point satisfies a x <= b for every row (a, b)."""
+    return all(dot(a, x) <= b for a, b in rows)
+
+
+def corners_of(rows):
+    """The corners of a bounded set of the plane: every crossing of two lines that satisfies all rows."""
+    found = set()
+    for (a, b), (c, d) in combinations(rows, 2):
+        turn = a[0] * c[1] - a[1] * c[0]
+        if turn:
+            x = ((b * c[1] - d * a[1]) / turn, (a[0] * d - c[0] * b) / turn)
+            if x not in found and holds(rows, x):
+                found.add(x)
+    return sorted(found)
+
+
+def growth_of(rows_before, corners, c):
+    """The largest alpha with c + alpha (x - c) in {rows_before} for all corners x; None if c is not inside."""
+    shares = []
+    for a, b in rows_before:
+        size = max(dot(a, x) for x in corners) - dot(a, c)
+        if size <= 0:
+            return None
+        shares.append((b - dot(a, c)) / size)
+    return min(shares)
+
+
+def rows_of(value):
+    return list(zip(value["H"], value["h"]))
+
+
+def binary(value):
+    """Fractions of decimals as those of their floats; lists entry by entry."""
+    return [binary(entry) for entry in value] if isinstance(value, list) else Fraction(float(value))
+
+
+def floats(value):
+    return np.array(value, dtype=float)
+
+
+def polytope(value):
+    return mr.Polytope(floats(value["H"]), floats(value["h"]))
+
+
+def is_below(bounds, offsets, slack):
+    """Whether floats lie below floats, or above by no more than `slack` relative to them."""
+    return bool((bounds <= offsets + slack * (1 + np.abs(offsets))).all())
+
+
+def remembered(method):
+    """A method of sets, given by their numbers, that is not asked twice: most mutations leave most sets alone."""
+
+    @wraps(method)
+    def ask(self, *numbers):
+        key = (method.__name__, self.world, *(tuple(self.sets[k]) for k in numbers))
+        if key not in _ANSWERS:
+            if len(_ANSWERS) > 5000:
+                _ANSWERS.clear()
+            _ANSWERS[key] = method(self, *numbers)
+        return _ANSWERS[key]
+
+    return ask
+
+
+_ANSWERS = {}
+
+
+class Oracle:
+    """What is true of a content whose numbers are Fractions; a method for every claim."""
+
+    def __init__(self, content):
+        self.content, self.system, self.claims = content, content["system"], content["claims"]
+        self.C, self.sets = binary(content["template"]), binary(content["sets"])
+        self.n = len(self.C[0])
+        numbers = [get(self.system, path) for path in nodes(self.system)]
+        numbers = [value for value in numbers if isinstance(value, Fraction)]
+        self.world = repr((self.system, content["network"], self.C))
+        self.beyond_floats = any(value and not SMALLEST < abs(value) < LARGEST for value in numbers)
+        rounded = not self.beyond_floats and any(Fraction(repr(float(value))) != value for value in numbers)
+        self.slack = ROUNDED if rounded else 0.0
+        self.rng, self.known, self.corners = np.random.default_rng(0), {}, {}
+
+    def confirms(self, *names):
+        """Whether all of these claims are true."""
+        for name in names:
+            if name not in self.known:
+                self.known[name] = getattr(self, name)()
+        return all(self.known[name] for name in names)
+
+    @remembered
+    def inputs(self):
+        """h of Phi(X) along the rows of U, from loops with x+ = (a u, 0)."""
+        if self.n != 2:
+            return False
+        U, X = rows_of(self.system["input_set"]), corners_of(rows_of(self.system["state_set"]))
+        if not X or not all(holds(U, exact_input(self.network, x)) for x in self._between(X)):
+            return False
+        if self.beyond_floats:
+            return True
+        lower, upper = self.X.bounding_box()
+        around = mr.Polytope.box(lower - 1, upper + 1)
+        for a, b in U:
+            loop = self._loop([(np.zeros((2, 2)), [floats(a), 0 * floats(a)], np.zeros(2), None, None)], a)
+            top = mr.support(loop, around, [[1.0, 0.0]], engine="exact").bound[0]
+            if top > np.nextafter(float(b), np.inf) + self.slack * (1 + abs(float(b))):
+                return False
+        return True
+
+    def safe_set(self):
+        F = self._corners(0)
+        if not F or not all(holds(rows_of(self.system["state_set"]), x) for x in F):
+            return False
+        return self._has_successors(0) and self._contains_image(0, 0)
+
+    def sequence(self):
+        return all(self._contains_image(k, k + 1) and self._inside(k, 0) for k in range(len(self.sets) - 1))
+
+    def terminal_set(self):
+        last = len(self.sets) - 1
+        own = self.claims["terminal_set"]["steps"] == last and self._inside(last, 0)
+        return own and self._contains_image(last, last) and self.confirms("safe_set", "sequence")
+
+    def criterion(self):
+        claim = self.claims["criterion"]
+        c, epsilon = claim["centre"], claim["epsilon"]
+        if not holds(self._rows(-1), c):
+            return not claim["holds"]
+        h = [b - (b - dot(a, c)) * epsilon / (1 + epsilon) for a, b in self._rows(-1)]
+        corners = corners_of(list(zip(self.C, h)))
+        own = floats([max(dot(a, x) for x in corners) for a in self.C])
+        if self.beyond_floats:
+            return True
+        margin = (
+            mr.support(self.loop, mr.Polytope(floats(self.C), floats(h)), floats(self.C), engine="exact").value - own
+        ).min()
+        return abs(margin) <= UNDECIDED or (margin > 0) == claim["holds"]
+
+    def theorem_1(self):
+        claim = self.claims["theorem_1"]
+        alpha = growth_of(self._rows(-2), self._corners(-1), claim["centre"])
+        stable = alpha is not None and alpha > 1
+        own = claim["stable"] == stable and claim["alpha"] == (None if alpha is None else str(alpha))
+        return own and (not stable or self.confirms("inputs", "terminal_set"))
+
+    def error_set(self):
+        """`prove_error`, and errors at random points."""
+        if self.beyond_floats:
+            return True
+        X, U = self.X, polytope(self.system["input_set"])
+        components = [
+            [(t["coefficient"], [int(power) for power in t["powers"]]) for t in f] for f in self.content["plant"]["f"]
+        ]
+
+        def f(x, u):
+            z = [*x, *u]
+            return [sum((float(c) * _power(z, powers) for c, powers in terms), 0 * z[0]) for terms in components]
+
+        z = X.product(U).sample(self.rng, 2000)
+        error = np.stack(f(z[:, : self.n].T, z[:, self.n :].T), axis=1)
+        for A, B, p, region, D in self._modes:
+            inside = (z @ region.H.T <= region.h - ERROR).all(axis=1)
+            off = error[inside] - z[inside] @ np.hstack([A, B]).T - p
+            if not is_below(off @ D.H.T, D.h, ERROR):
+                return False
+            try:
+                proof = mr.approximation.prove_error(f, [mr.Mode(A, B, p, region, D)], X, U, D.H, max_boxes=500)
+            except ValueError:  # a region without points, or so wide that no bound is finite
+                continue
+            if not is_below(proof.attained[0], D.h, ERROR):
+                return False
+        return True
+
+    def theorem_2(self):
+        return min(self.sets[-1]) > 0 and self.confirms("inputs", "terminal_set", "error_set")
+
+    # -- parts --
+
+    @cached_property
+    def X(self):
+        return polytope(self.system["state_set"])
+
+    @cached_property
+    def network(self):
+        return mr.MaxoutNetwork.from_dict(json.loads(json.dumps(self.content["network"], default=float)))
+
+    @cached_property
+    def _modes(self):
+        return [
+            (*(floats(mode[name]) for name in "ABp"), polytope(mode["region"]), polytope(mode["disturbance"]))
+            for mode in self.system["modes"]
+        ]
+
+    @cached_property
+    def _extremes(self):
+        """The corners of D of every mode."""
+        return [corners_of(rows_of(mode["disturbance"])) for mode in self.system["modes"]]
+
+    @cached_property
+    def loop(self):
+        return self._loop(self._modes)
+
+    def _loop(self, modes, row=None):
+        """The loop, or x+ = (row u, 0); regions may leave gaps and overlap, and U asks nothing."""
+        key = self.world, repr(row)
+        if key not in _LOOPS:
+            m = len(modes[0][1][0])
+            everywhere = mr.Polytope(np.eye(2 + m)[:1], [1e6])
+            U = mr.Polytope.box(*enclosing_inputs(self.network, mr.Polytope.box(*self.X.bounding_box())))
+            if len(_LOOPS) > 20:
+                _LOOPS.clear()
+            with patch("mireach.system._check_partition"):
+                system = mr.PWASystem(
+                    [mr.Mode(A, B, p, region or everywhere, D) for A, B, p, region, D in modes], self.X, U
+                )
+            _LOOPS[key] = mr.ClosedLoop(system, self.network)
+        return _LOOPS[key]
+
+    def _rows(self, k):
+        return list(zip(self.C, self.sets[k]))
+
+    def _corners(self, k):
+        if k not in self.corners:
+            self.corners[k] = corners_of(self._rows(k))
+        return self.corners[k]
+
+    def _inside(self, k, j):
+        return all(holds(self._rows(j), x) for x in self._corners(k))
+
+    def _states(self, k):
+        """Some corners of R_k and random points of it, rational."""
+        yield from self._between(self._corners(k))
+
+    def _between(self, corners):
+        """Some corners and random points between them, rational."""
+        for i in self.rng.integers(len(corners), size=SAMPLES).tolist() if corners else ():
+            yield corners[i]
+        for weights in self.rng.integers(0, 50, (SAMPLES, len(corners))).tolist() if corners else ():
+            if total := sum(weights):
+                yield tuple(dot(weights, column) / total for column in zip(*corners))
+
+    @remembered
+    def _contains_image(self, k, j):
+        """Random steps in fractions, and the exact engine."""
+        for x in self._states(k):
+            if holds(rows_of(self.system["state_set"]), x):
+                z = [*x, *exact_input(self.network, x)]
+                for mode, corners in zip(self.system["modes"], self._extremes):
+                    if holds(rows_of(mode["region"]), z):
+                        after = [dot([*A, *B], z) + p for A, B, p in zip(mode["A"], mode["B"], mode["p"])]
+                        if not all(holds(self._rows(j), [a + e for a, e in zip(after, d)]) for d in corners):
+                            return False
+        if self.beyond_floats:
+            return True
+        C = floats(self.C)
+        bound = mr.support(self.loop, mr.Polytope(C, floats(self.sets[k])), C, engine="exact").bound
+        return is_below(bound, floats(self.sets[j]), self.slack)
+
+    @remembered
+    def _has_successors(self, k):
+        """No state of R_k without a region: random ones in fractions, and areas in floats."""
+        for x in self._states(k):
+            z = [*x, *exact_input(self.network, x)]
+            if not any(holds(rows_of(mode["region"]), z) for mode in self.system["modes"]):
+                return False
+        if self.beyond_floats:
+            return True
+        F = shapely.MultiPoint(floats(self._corners(k))).convex_hull
+        cells = [
+            shapely.MultiPoint([[float(Fraction(int(e.p), int(e.q))) for e in x] for x in cell.corners]).convex_hull
+            for cell in exact.cells(self.loop)
+        ]
+        return F.difference(shapely.union_all([cell.buffer(ERROR) for cell in cells])).is_empty
+
+
+_LOOPS = {}  # those that were built last, for mutations leave most of them alone
+
+
+def _power(z, powers):
+    found = 1.0
+    for base, power in zip(z, powers):
+        for _ in range(power):
+            found = found * base
+    return found
