@@ -39,7 +39,7 @@ print(tanks)
 # Two pumps fill the outer tanks, a drain empties the middle one, and pipes join them: at the bottom, and at a height of
 # 30 cm, where water passes only if a tank stands higher. So there are four modes, by the signs of $x_1$ and $x_2$, the
 # deviations of the outer levels from 30 cm. At the levels to be kept all four modes meet, and a
-# disturbance of two millimetres decides which one acts. The network was trained on the solutions of a mixed-integer MPC.
+# disturbance of two millimetres decides which one acts. The network was trained on solutions of a mixed-integer MPC.
 
 # %%
 for number, mode in enumerate(tanks.system.modes, start=1):
@@ -50,7 +50,7 @@ print(f"|d| <= {tanks.disturbance_bound} cm; {tanks.network}")
 # %% [markdown]
 # ## 2 The safe set
 #
-# The calls are those of the plane; without two states `mireach` takes the MILP of Lemma 2 by itself. The template is the
+# The calls are those of the plane; for $n > 2$ `mireach` takes the MILP of Lemma 2 by itself. The template is the
 # box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: what the three tanks hold together leaves more slowly
 # than any single level changes.
 
@@ -68,8 +68,8 @@ for row, before, after in zip(safe.set.H[:8], tanks.system.state_set.support(saf
 # Why not all of $\mathcal{X}$? Where the outer tanks stand 10 cm too high, water pours into the middle one whatever the
 # pumps do, and lifts it over its limit. $\mathcal{F}_{\max}$ gives these states up.
 #
-# The terminal set takes a while longer and comes with the package, in the case's certificate. `check_rpi` proves it anew:
-# it asks only whether each facet holds, which is quicker than to ask for its support function.
+# The terminal set takes a while longer and comes with the package, in the case's certificate. `check_rpi` proves it
+# anew: it asks only whether each facet holds, which is quicker than to ask for its support function.
 
 # %% tags=["nbval-check-output"]
 sequence = load_sets("three_tanks")
@@ -170,8 +170,8 @@ print(mr.certificate.verify(data_file("four_tanks", "certificate.json")))
 # %% [markdown]
 # ## 6 The price of exact steps
 #
-# $\mathcal{R}_k$ without a template in between has $k$ times the binaries (Lemma 2). With one mode the time hardly grows:
-# near the origin the network is one affine piece. With four modes that meet there, it explodes.
+# $\mathcal{R}_k$ without a template in between has $k$ times the binaries (Lemma 2). With one mode the time hardly
+# grows: near the origin the network is one affine piece. With four modes that meet there, it explodes.
 
 # %%
 print("k     three tanks      four tanks")
