@@ -101,13 +101,13 @@ def test_both_maps_count_where_regions_share_a_boundary(case):
         np.testing.assert_allclose(cells.value, np.max(reached, axis=0), atol=1e-9)
 
 
-def test_two_steps_agree_between_cells_and_milp():
-    case = mr.case_study("pwa")
-    F = mr.Polytope.box([-1, -1], [1, 1])
-    for k in (2, 3):
-        cells = mr.support(case.loop, F, case.directions[:2], steps=k, engine="cells")
-        milp = mr.support(case.loop, F, case.directions[:2], steps=k, engine="milp")
-        np.testing.assert_allclose(cells.value, milp.value, rtol=0, atol=1e-7)
+@pytest.mark.parametrize(("k", "lower", "upper"), [(2, [-1, -1], [1, 1]), (3, [0.5, -1], [1, 0])])
+def test_several_steps_through_several_modes_agree_between_cells_and_milp(k, lower, upper):
+    case, F = mr.case_study("pwa"), mr.Polytope.box(lower, upper)
+    cells = mr.support(case.loop, F, case.directions[:2], steps=k, engine="cells")
+    milp = mr.support(case.loop, F, case.directions[:2], steps=k, engine="milp")
+    assert all(len(set(witness.modes)) == k for witness in cells.witness)
+    np.testing.assert_allclose(cells.value, milp.value, rtol=0, atol=1e-7)
 
 
 def test_three_sides_of_the_pwa_safe_set_follow_from_the_modes():

@@ -150,7 +150,7 @@ class LinearProgram:
             return Optimum(0.0, np.zeros(0))
         raise SolverError(f"HiGHS ended a linear program with {self.highs.modelStatusToString(status)}")
 
-    def maximize_integer(self, columns, coefficients, *, gap=1e-9, nodes=None, time_limit=None, start=None):
+    def maximize_integer(self, columns, coefficients, *, gap=1e-9, nodes=None, time_limit=None):
         """max coefficients x[columns] over the constraints so far, the `binaries` being 0 or 1.
 
         Parameters
@@ -162,8 +162,6 @@ class LinearProgram:
             At most so many nodes of the search tree.
         time_limit : float or None
             Seconds.
-        start : tuple of arrays, or None
-            Columns and their values, from which the solver may complete a first point.
 
         Returns
         -------
@@ -189,8 +187,6 @@ class LinearProgram:
             else self.highs.getRunTime() + time_limit,  # of all runs together
         }.items():
             self.highs.setOptionValue(name, setting)
-        if start is not None:
-            self.highs.setSolution(len(start[0]), np.asarray(start[0], np.int32), np.asarray(start[1], float))
         self.highs.run()
         if self.highs.getModelStatus() not in (highspy.HighsModelStatus.kOptimal, *STOPPED):
             self.highs.clearSolver()  # no answer, or infeasible: that has to hold without presolve too

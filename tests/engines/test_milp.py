@@ -194,16 +194,30 @@ def test_ample_time_limit_changes_nothing():
     np.testing.assert_allclose(limited.value, milp.support(loop, EVERYTHING[2], V).value, atol=1e-8)
 
 
-def test_wrong_bound_of_the_solver_is_noticed(monkeypatch):
+@pytest.mark.parametrize("formulation", ["split", "whole"])
+@pytest.mark.parametrize("wrong", [lambda bound: bound - 0.5, lambda bound: -np.inf], ids=["too low", "infeasible"])
+def test_wrong_bound_of_the_solver_is_noticed(monkeypatch, formulation, wrong):
     loop, solve = random_loop(0), milp._solve
 
     def too_low(model, v, *limits):
         bound, point, finished = solve(model, v, *limits)
-        return (bound - 0.5 if v[0] == 1 else bound), point, finished
+        return (wrong(bound) if v[0] == 1 else bound), point, finished
+
+    monkeypatch.setattr(milp, "_solve", too_low)
+    with pytest.raises(SolverError, match=r"\[1\.0, 0\.0\].* a trajectory passes this"):
+        milp.support(loop, EVERYTHING[2], [[1.0, 0.0], [0.999, 0.001]], formulation=formulation)
+
+
+def test_bound_is_not_lifted_to_what_simulation_attains(monkeypatch):
+    loop, solve = random_loop(0), milp._solve
+
+    def too_low(*asked):
+        bound, _, finished = solve(*asked)
+        return bound - 0.5, None, finished
 
     monkeypatch.setattr(milp, "_solve", too_low)
     with pytest.raises(SolverError, match="a trajectory passes this"):
-        milp.support(loop, EVERYTHING[2], [[1.0, 0.0], [0.999, 0.001]], formulation="whole")
+        milp.support(loop, EVERYTHING[2], [[1.0, 0.0]])
 
 
 # -- bounds -------------------------------------------------------------------------------------------
