@@ -242,6 +242,15 @@ def test_a_claim_that_needs_a_refuted_one_is_not_proven():
     assert not any(found[name].verdict == "proven" for name in ("terminal_set", "criterion", "theorem_1"))
 
 
+def test_theorems_need_inputs_in_u():
+    value = with_plant(f=LINEAR, later=[(0.5,) * 4], theorem_1={"alpha": "2", "stable": True})
+    assert {verdict(value, name) for name in ("theorem_1", "theorem_2")} == {"proven"}
+    value["network"]["output"]["bias"] = [1.5]  # without effect on the states, for B = 0
+    found = check(value)
+    assert found["inputs"].verdict == "refuted" and found["terminal_set"].verdict == "proven"
+    assert {found[name].verdict for name in ("theorem_1", "theorem_2")} == {"not checked"}
+
+
 def test_the_criterion_is_decided_both_ways():
     value = content(mode(D=box(0.5)), later=[(1.0, 1.0, 1.0, 1.0)])
     assert verdict(value, "criterion") == "proven"
