@@ -1,8 +1,10 @@
-"""How the work grows with the network, the number of steps and of states: python benchmarks/growth.py
+"""How the work grows with the network and the number of steps: python benchmarks/growth.py [--wide]
 
-Prints Markdown tables, and draws docs/figures/growth.{svg,png}. Medians of several runs in one process.
+Prints Markdown tables, and draws docs/figures/growth.{svg,png}. Medians of several runs in one process. With --wide
+only the largest network is looked at, and how much memory that takes.
 """
 
+import argparse
 import sys
 from functools import partial
 from pathlib import Path
@@ -11,6 +13,7 @@ from time import perf_counter
 
 import numpy as np
 from matplotlib.figure import Figure
+from peers import MARK
 
 import mireach as mr
 from mireach import plotting
@@ -30,7 +33,7 @@ SHAPES = [  # kind, layers, width, channels a neuron
     ("maxout", 5, 5, 5),
     ("maxout", 5, 10, 5),
 ]
-TIME_LIMIT = 60.0  # seconds of a MILP for one direction
+TIME_LIMIT = 30.0  # seconds of a MILP for one direction
 STEPS = {"pwa": 5, "double_integrator": 3}
 
 
@@ -72,7 +75,7 @@ def networks():
         build = seconds(partial(build_anew, system, network), 3)
         loop = mr.ClosedLoop(system, network)
         step = seconds(partial(mr.support, loop, system.state_set, V), 20)
-        by_milp = milp_seconds(loop, system.state_set.scale(0.1), V[:1])
+        by_milp, _ = ask_milp(loop, system.state_set.scale(0.1), V[:1])
         count = len(cells.cells(loop))
         name = f"{kind} {layers} x {width}" + (f", pool {pool}" if kind == "maxout" else "")
         took = f"{by_milp:.3g}" if by_milp < TIME_LIMIT else f"> {TIME_LIMIT:g}"
@@ -86,14 +89,14 @@ def build_anew(system, network):
     return cells.cells(mr.ClosedLoop(system, mr.MaxoutNetwork(network.hidden, network.weight, network.bias)))
 
 
-def milp_seconds(loop, F, V, steps=1):
-    """Seconds of one support by the MILP, or inf if the time limit came first."""
+def ask_milp(loop, F, V, steps=1):
+    """Seconds of one support by the MILP, inf if the time limit came first, and its bound."""
     begin = perf_counter()
     try:
-        mr.support(loop, F, V, steps, engine="milp", time_limit=TIME_LIMIT)
-    except SolverStopped:
-        return np.inf
-    return perf_counter() - begin
+        bound = mr.support(loop, F, V, steps, engine="milp", time_limit=TIME_LIMIT).bound
+    except SolverStopped as stop:
+        return np.inf, stop.support.bound
+    return perf_counter() - begin, bound
 
 
 def steps():
@@ -105,17 +108,42 @@ def steps():
         F, V = mr.safe_set(case.loop, case.safe_directions).set, case.directions[:1]
         for k in range(1, most + 1):
             by_cells = seconds(partial(mr.support, case.loop, F, V, k), 1)
-            by_milp = milp_seconds(case.loop, F, V, k)
-            if np.isfinite(by_milp):
-                apart = mr.support(case.loop, F, V, k, engine="milp").bound - mr.support(case.loop, F, V, k).bound
-                print(f"| {name} | {k} | {by_cells:.3g} | {by_milp:.3g} | {apart[0]:.2g} |", flush=True)
-            else:
-                print(f"| {name} | {k} | {by_cells:.3g} | > {TIME_LIMIT:g} | - |", flush=True)
+            by_milp, bound = ask_milp(case.loop, F, V, k)
+            apart = bound[0] - mr.support(case.loop, F, V, k).bound[0]
+            took = f"{by_milp:.3g}" if np.isfinite(by_milp) else f"> {TIME_LIMIT:g}"
+            print(f"| {name} | {k} | {by_cells:.3g} | {took} | {apart:.2g} |", flush=True)
             found.append((name, k, by_cells, by_milp))
     return found
 
 
+def wide():
+    """The cells of a ReLU network of 3 x 64 neurons over nine modes: seconds, milliseconds, peak of this process."""
+    system, network = mr.case_study("double_integrator").system, random_network("ReLU", 3, 64, 2)
+    build = seconds(partial(build_anew, system, network), 5)
+    loop = mr.ClosedLoop(system, network)
+    step = seconds(partial(mr.support, loop, system.state_set, mr.directions(8)), 50)
+    work = f"a random ReLU network 3 x 64, 9 modes, {len(cells.cells(loop))} cells"
+    report(f"{work}: building them", "2 s", f"{build:.2f} s", build <= 2)
+    report("the same: one step, 8 directions over X", "10 ms", f"{step * 1e3:.2f} ms", step <= 0.01)
+    try:
+        import resource
+    except ImportError:  # Windows has no such accounting
+        return
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    report("the same: peak memory of the process", "1 GB", f"{peak:.0f} MiB", peak <= 1000)
+
+
+def report(work, limit, here, holds):
+    """One row of the table of what was aimed at."""
+    print("\t".join([MARK, work, "plain limits", f"at most {limit}", here, "yes" if holds else "NO"]))
+
+
 def main():
+    parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
+    parser.add_argument("--wide", action="store_true", help="only the largest network, and its memory")
+    if parser.parse_args().wide:
+        wide()
+        return
     rows, longer = networks(), steps()
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     plotting.plot_growth(figure.subplots(1, 3), rows, longer)

@@ -31,11 +31,18 @@ PACKAGES = {
 }
 SAFE_SIDE = 1e-6  # what a bound may lie above the exact support function
 LIMIT = 60.0  # seconds that a peer gets for one direction
+MARK = "figure:"  # begins the lines of a script that belong into the table of what was aimed at
+AIMS = (  # work, case, what against, how many times faster at least
+    ("double_integrator, supports of F_max and the terminal set by the MILP", "double_integrator", "HiGHS, paper", 25),
+    ("the same", "double_integrator", "Gurobi, paper", 3),
+    ("pwa, the same", "pwa", "Gurobi, paper", 1),
+    ("double_integrator, the same by cells", "double_integrator", "cells: Gurobi, paper", 5000),
+)
 
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
-    parser.add_argument("--sets", type=int, default=3, help="sets of each sequence that stand for it")
+    parser.add_argument("--sets", type=int, default=5, help="sets of each sequence that stand for it")
     parser.add_argument("--directions", type=int, default=2, help="of the 8 directions over each set")
     options = parser.parse_args(arguments)
     solvers = {"HiGHS, paper": highs_paper, "Gurobi, paper": gurobi, "SCIP, paper": scip}
@@ -46,8 +53,15 @@ def main(arguments=None):
             print(f"{name} is missing: {package} could not be installed")
     print("| case | work | solver | seconds a direction, median | total, s | times this package's MILP |")
     print("| --- | --- | --- | ---: | ---: | ---: |")
-    for name in ("pwa", "double_integrator"):
-        compare(name, peers, options.sets, options.directions)
+    ratios = {name: compare(name, peers, options.sets, options.directions) for name in ("pwa", "double_integrator")}
+    return [figure(ratios, *aim) for aim in AIMS]
+
+
+def figure(ratios, work, case, key, least):
+    """One row of the table of what was aimed at."""
+    here = ratios[case].get(key)
+    found = ("-", "not measured") if here is None else (f"{here:.3g} times", "yes" if here >= least else "NO")
+    return [work, key.removeprefix("cells: "), f"{least:g} times", *found]
 
 
 def available(package):
@@ -67,7 +81,10 @@ def available(package):
 
 
 def compare(name, peers, count, across):
-    """One case: cells and MILP on all sets of the safe set's and the terminal set's sequences, peers on a sample."""
+    """One case: cells and MILP on all sets of the safe set's and the terminal set's sequences, peers on a sample.
+
+    How many times as long each peer takes: dict by its name, and with "cells: " before it against the cells.
+    """
     case = mr.case_study(name)
     safe = mr.safe_set(case.loop, case.safe_directions)
     terminal = mr.terminal_set(case.loop, safe, case.directions, case.epsilon)
@@ -98,12 +115,15 @@ def compare(name, peers, count, across):
     ours_total = sum(part) * len(chosen) / len(V)
     cells_total = sum(fast[i] for i in range(len(sets)) if any(sets[i] is F for F in sample)) * len(chosen) / len(V)
     row("sample", "this package, MILP", drawn, [s / len(V) for s in part for _ in chosen], ours_total)
+    ratios = {}
     for solver, solve in peers.items():
         seconds, bounds = timed(partial(solve, case.loop), drawn)
         stopped = np.array(seconds) >= LIMIT
         check(name, solver, case.loop, drawn, bounds, SAFE_SIDE, stopped)
         row("sample", solver, drawn, seconds, ours_total)
+        ratios[solver], ratios[f"cells: {solver}"] = sum(seconds) / ours_total, sum(seconds) / cells_total
         print(f"<!-- {name}: {solver} against the cells: {sum(seconds) / cells_total:.3g} times -->", flush=True)
+    return ratios
 
 
 def timed(work, tasks):

@@ -1,44 +1,75 @@
-"""Side-by-side timings, printed as a Markdown table: python3 run.py bench [--quick]
+"""Side-by-side timings, printed as Markdown tables: python3 run.py bench [PART ...]
 
-Medians of several runs in one process on one machine; whole-process figures are of a child process. Nothing here is
+The parts are "rooms" (each engine and room by itself), "peers" (against other solvers), "wide" (cells of a large
+network), "growth" and "dimensions"; the last table says which of the figures aimed at were reached. Medians of
+several runs in one process on one machine; whole-process figures are of a child process. Nothing here is
 asserted: a slow machine is not a fault.
 """
 
 import argparse
+import os
 import platform
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 from statistics import median
 from time import perf_counter
 
 import highspy
+import numba
 import numpy as np
 import peers
 
 import mireach as mr
 from mireach import planar
-from mireach.engines import cells, exact, milp
+from mireach.engines import cells, exact
+
+PARTS = ("rooms", "peers", "wide", "growth", "dimensions")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
-    parser.add_argument(
-        "--quick", action="store_true", help="leave out the MILP over X, the whole process and the peers"
-    )
-    quick = parser.parse_args().quick
-    print(f"Python {platform.python_version()}, numpy {np.__version__}, HiGHS {highspy.Highs().version()},", end=" ")
-    print(f"{platform.system()} {platform.machine()}\n")
-    print("| work | median | unit | runs |\n| --- | ---: | --- | ---: |")
-    for name in ("pwa", "double_integrator"):
-        for_case(name, quick)
-    if not quick:
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; default: all")
+    parts = parser.parse_args().parts or PARTS
+    if unknown := set(parts) - set(PARTS):
+        parser.error(f"there is no part {', '.join(unknown)}; choose of {', '.join(PARTS)}")
+    print(f"Python {platform.python_version()}, numpy {np.__version__}, numba {numba.__version__},", end=" ")
+    print(f"HiGHS {highspy.Highs().version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
+    reached = []
+    if "rooms" in parts:
+        print("\n## Rooms\n\n| work | median | unit | runs |\n| --- | ---: | --- | ---: |")
+        for name in ("pwa", "double_integrator"):
+            for_case(name)
         whole_process()
-        print()
-        peers.main([])
+    if "peers" in parts:
+        print("\n## Against other solvers\n")
+        reached += peers.main([])
+    if "wide" in parts:
+        print("\n## A large network\n")
+        reached += child("growth.py", "--wide")
+    if "growth" in parts:
+        print("\n## Growth\n", flush=True)
+        child("growth.py")
+    if "dimensions" in parts:
+        print("\n## More than two states\n", flush=True)
+        child("dimensions.py", "--growth")
+    if reached:
+        print("\n## What was aimed at\n\n| work | against | at least | here | reached |", end="")
+        print("\n| --- | --- | ---: | ---: | --- |")
+        for line in reached:
+            print(f"| {' | '.join(line)} |")
 
 
-def for_case(name, quick):
+def child(script, *options):
+    """Run a script of this folder as a process of its own; the rows that it marks for the last table."""
+    command = [sys.executable, str(Path(__file__).parent / script), *options]
+    lines = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
+    print("\n".join(line for line in lines if not line.startswith(peers.MARK)), flush=True)
+    return [line.split("\t")[1:] for line in lines if line.startswith(peers.MARK)]
+
+
+def for_case(name):
     """Cells and MILP of one case study."""
     case = mr.case_study(name)
     safe, terminal = sets_of(case)
@@ -55,9 +86,6 @@ def for_case(name, quick):
     )
     for_region(name, case)
     for label, F in (("X", X), ("F_max", safe.set), ("the terminal set", terminal.set)):
-        if quick and label == "X":
-            continue
-        row(f"{name}: bounds and model over {label}, MILP", lambda F=F: milp.build(case.loop, F, 1), 1, "s", 3)
         row(
             f"{name}: one step, 8 directions over {label}, MILP",
             lambda F=F: mr.support(case.loop, F, C, engine="milp"),
@@ -118,7 +146,8 @@ def row(label, work, factor, unit, runs):
 def whole_process():
     """`reproduce`, cross-check included, as a process of its own: seconds and peak memory."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "mireach", "reproduce", "--quiet", "--results", folder, "--figures", folder]
+        command = [sys.executable, "-m", "mireach", "reproduce", "--quiet"]
+        command += [part for name in ("results", "figures", "certificates") for part in (f"--{name}", folder)]
         begin = perf_counter()
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         seconds = perf_counter() - begin
