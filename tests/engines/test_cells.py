@@ -16,7 +16,18 @@ from loops import (
     random_loop,
 )
 
-from mireach import ClosedLoop, Layer, MaxoutNetwork, Mode, Polytope, PWASystem, directions
+from mireach import (
+    ClosedLoop,
+    Layer,
+    MaxoutNetwork,
+    Mode,
+    Polytope,
+    PWASystem,
+    case_study,
+    directions,
+    exact_reach,
+    safe_set,
+)
 from mireach.engines.cells import cells, support
 from mireach.plants import chessboard
 
@@ -74,6 +85,16 @@ def test_no_sampled_trajectory_passes_the_bound(seed, steps):
         images = random_images(loop, F, rng, 300, steps)
         found = support(loop, F, V, steps)
         assert len(images) == 0 or ((images @ V.T).max(axis=0) <= found.bound).all()
+
+
+@pytest.mark.parametrize(("name", "steps"), [("pwa", 3), ("double_integrator", 2)])
+def test_several_steps_of_a_case_study_agree_with_the_union_of_what_is_reached(name, steps):
+    case = case_study(name)
+    F = safe_set(case.loop, case.safe_directions).set
+    region = exact_reach(case.loop, F, steps)[-1]  # found by GEOS, which merges what overlaps
+    found = support(case.loop, F, case.directions, steps)
+    np.testing.assert_allclose(found.value, (region.pieces.points @ case.directions.T).max(axis=0), atol=1e-7)
+    assert (found.bound >= found.value).all() and (found.bound <= found.value + 1e-9).all()
 
 
 def test_multi_step_equals_steps_of_one_for_an_affine_loop():

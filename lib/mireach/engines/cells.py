@@ -198,8 +198,8 @@ def support(loop, F, V, steps=1):
         States outside X have no successor: F & X counts. Flat sets and points are fine.
     V : array (k, 2)
     steps : int
-        More than one step follows every piece of the reachable set through the cells; their number
-        grows quickly with `steps`.
+        More than one step follows every piece of the reachable set through the cells, those apart that lie in
+        another; their number grows with `steps`.
 
     Returns
     -------
@@ -240,7 +240,7 @@ def support(loop, F, V, steps=1):
     rows = _rows(loop, every, V.shape, V.tobytes())
     pieces = [(F, ())]
     for step in range(steps - 1):
-        pieces = [image for piece, chain in pieces for image in _images(every, piece, loop, chain)]
+        pieces = _uncovered([image for piece, chain in pieces for image in _images(every, piece, chain)])
         if len(pieces) > MOST_PIECES:
             raise ValueError(
                 f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, "
@@ -455,19 +455,44 @@ def _across(normal, first, second):
     return a, b if Fraction(b) >= exact else nextafter(b, inf)
 
 
-def _images(every, F, loop, chain):
-    """The images of the parts of F: list of (Polytope, chain), where chain holds the (polygon, cell) so far.
+@dataclass(frozen=True, eq=False)
+class _Image:
+    """The image of a part of a cell: the hull of `points` (v, 2), off by no more than `error` (2,).
 
-    Each is widened by its error, and cut off by a box so that this does not lengthen its tips.
+    `set` is that hull, widened by the error; `chain` holds the (polygon, cell) that led here.
     """
+
+    points: np.ndarray
+    error: np.ndarray
+    set: Polytope
+    chain: tuple
+
+
+def _images(every, F, chain):
+    """The images of the parts of F: list of _Image. A box cuts them off, so that widening does not lengthen tips."""
     part, index = every.cells.restrict(F)
     images, found = Polygons(every.images(part.points, index[part.owner]), part.starts), []
     for i, cell in enumerate(index):
         points = (images[i][:, None] + every.corners[every.cells.mode[cell]]).reshape(-1, 2)
         H = np.vstack([Polytope.from_points(points).H, box_directions(2)])
         h = (points @ H.T).max(axis=0) + np.abs(H) @ every.error[cell]
-        found.append((Polytope(H, h), (*chain, (part[i], cell))))
+        found.append(_Image(points, every.error[cell], Polytope(H, h), (*chain, (part[i], cell))))
     return found
+
+
+def _uncovered(images):
+    """(Polytope, chain) of those images that lie in no larger one, errors included."""
+    images = sorted(images, key=lambda image: -image.set.area)
+    points, error = Polygons.of([image.points for image in images]), np.array([image.error for image in images])
+    left, kept = np.arange(len(images)), []
+    while len(left):
+        largest = images[left[0]].set
+        kept.append((largest, images[left[0]].chain))
+        points, error, left = points.take(np.arange(1, len(left))), error[1:], left[1:]
+        reach = points.largest(points.points @ largest.H.T) + error @ np.abs(largest.H).T
+        open_ = np.flatnonzero((reach > largest.h).any(axis=1))
+        points, error, left = points.take(open_), error[open_], left[open_]
+    return kept
 
 
 def _witness(loop, every, F, v, piece, chain, cell):
