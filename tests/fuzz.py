@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 from loops import random_images, random_loop
 
-from mireach import Polytope, SolverError, directions
+from mireach import Polytope, SolverError, box_directions, directions
 from mireach.engines import cells, exact, milp
 
 CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1 and
@@ -69,6 +69,16 @@ def some_sets(loop, rng):
         yield "at a segment", Polytope.from_points(np.array([t, x[1]]))
 
 
+def size_of(loop):
+    """Largest coordinate of R_1(X)."""
+    return np.abs(exact.support(loop, loop.system.state_set, box_directions(2)).bound).max()
+
+
+def allowance(loop):
+    """What bounds of the float cells may lie above the exact value, for rows of length 1."""
+    return max(CLOSE, RELATIVE * size_of(loop))
+
+
 def widened(F, by):
     """F with rows of length 1 moved outward."""
     return Polytope(F.H, F.h + by * np.linalg.norm(F.H, axis=1))
@@ -85,12 +95,12 @@ def disagreements(seed, milp_sets=2):
     rng, loop = some_loop(seed)
     V = np.vstack([directions(5), rng.normal(size=(1, 2)) * 30])
     length, found, asked = np.maximum(1, np.linalg.norm(V, axis=1)), [], Counter()
-    size = np.abs(exact.support(loop, loop.system.state_set, np.vstack([np.eye(2), -np.eye(2)])).bound).max()
+    size, close = size_of(loop), allowance(loop)
     sets = list(some_sets(loop, rng))
     for_milp = set(rng.choice(len(sets), milp_sets, replace=False).tolist())
     for number, (kind, F) in enumerate(sets):
         h = exact.support(loop, F, V).bound
-        bounds = {"exact": (h, 0.0, 0.0), "cells": (cells.support(loop, F, V).bound, 0.0, max(CLOSE, RELATIVE * size))}
+        bounds = {"exact": (h, 0.0, 0.0), "cells": (cells.support(loop, F, V).bound, 0.0, close)}
         if number in for_milp:
             try:
                 bounds["milp"] = (milp.support(loop, F, V).bound, ROUNDED, RESOLVED * max(1, size / 10))
