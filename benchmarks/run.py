@@ -22,7 +22,7 @@ import numpy as np
 import peers
 
 import mireach as mr
-from mireach import planar
+from mireach import case_studies, planar
 from mireach.engines import cells, exact
 
 PARTS = ("rooms", "peers", "wide", "growth", "dimensions")
@@ -109,6 +109,19 @@ def for_region(name, case):
         )
     exact_cells = exact.cells.__wrapped__  # without its cache
     row(f"{name}: exact cells", lambda: exact_cells(case.loop), 1, "s", 3)
+    X, C = case.system.state_set, case.directions
+    row(f"{name}: one step, 8 directions over X, exact", lambda: exact.support(case.loop, X, C), 1e3, "ms", 10)
+    safe, terminal = sets_of(case)
+    made = mr.certificate.make(case.loop, safe, terminal, plant=case.plant)
+    row(
+        f"{name}: certificate of {len(made.content['sets'])} sets, made",
+        lambda: mr.certificate.make(case.loop, safe, terminal, plant=case.plant),
+        1,
+        "s",
+        3,
+    )
+    file = case_studies.data_file(name, "certificate.json")
+    row(f"{name}: the same, verified", lambda: mr.certificate.verify(file), 1, "s", 3)
     row(
         f"{name}: rational proof ({len(found.set.pieces)} pieces)",
         lambda: mr.prove_rpi(case.loop, found.set),
