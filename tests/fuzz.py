@@ -8,8 +8,8 @@ from loops import random_images, random_loop
 from mireach import Polytope, SolverError, box_directions, directions
 from mireach.engines import cells, exact, milp
 
-CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1 and
-RELATIVE = 3.2e-11  # relative to the size of X and its image, where that is more
+CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1 ...
+LARGE, STEEP = 25, 50  # ... if no coordinate of R_1(X) and no gain |M| is above these, and in proportion otherwise
 RESOLVED = 1e-6  # what bounds of the MILP may differ from it
 ROUNDED = 1e-9  # by which the images of samples may pass a bound: the samples themselves are rounded
 TOUCHING = {"cells": 1e-10, "milp": 1e-7, "samples": 1e-12}  # sets that come this close may count as touching
@@ -76,7 +76,8 @@ def size_of(loop):
 
 def allowance(loop):
     """What bounds of the float cells may lie above the exact value, for rows of length 1."""
-    return max(CLOSE, RELATIVE * size_of(loop))
+    gain = max(abs(float(row[0])) + abs(float(row[1])) for cell in exact.cells(loop) for row in cell.M)
+    return CLOSE * max(1, size_of(loop) / LARGE, gain / STEEP)
 
 
 def widened(F, by):

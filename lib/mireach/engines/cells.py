@@ -215,8 +215,8 @@ def support(loop, F, V, steps=1):
     Notes
     -----
     exact <= bound <= exact + 1e-9 was found for every set that was compared with the exact engine, thin slivers and
-    needles among them (lengths relative to the size of X, if that is above 1). What is behind it, with eta = `CORNER`
-    for what rounding does to one corner:
+    needles among them, for loops whose R_1(X) has no coordinate above 25 and whose M no row sum above 50, and in
+    proportion beyond. What is behind it, with eta = `CORNER` for what rounding does to one corner:
 
     - Every state x of a mode lies within `cuts` eta of a cell of that mode, and there |K x + g - Phi(x)| is at most
       the `error` of the cell (`compiled.affine_pieces`); large weights make it large. Rows of a region that involve u

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lp import TOLERANCE, LinearProgram
+from ..lp import MIP_TOLERANCE, TOLERANCE, LinearProgram
 from .bounds import METHODS, SAFETY, lower_bound, upper_bound
 from .boxes import Boxes, bound_loop
 
@@ -135,10 +135,10 @@ def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None
         known = bound_loop(loop, box, steps).at(0)
     n, X, lp = loop.system.state_size, loop.system.state_set, LinearProgram()
     x = lp.add_columns(box.lower[0, :n], box.upper[0, :n])
-    lp.add_rows(x, F.H, upper=F.h)
+    _stay_in(lp, x, F)
     model = Model(lp, [x], [], [], [])
     for j in range(steps):
-        lp.add_rows(x, X.H, upper=X.h)
+        _stay_in(lp, x, X)
         step = None if known is None else known[j]
         u = add_network(lp, loop.network, x, bounds, step)
         ends = slice(n * (j + 1), n * (j + 2))
@@ -161,8 +161,8 @@ def build_inputs(loop, F, bounds, box, known):
     """
     lp, X = LinearProgram(), loop.system.state_set
     x = lp.add_columns(box.lower[0], box.upper[0])
-    lp.add_rows(x, F.H, upper=F.h)
-    lp.add_rows(x, X.H, upper=X.h)
+    _stay_in(lp, x, F)
+    _stay_in(lp, x, X)
     u = add_network(lp, loop.network, x, bounds, known[0])
     return Model(lp, [x, u], [], [], [u])
 
@@ -354,15 +354,20 @@ def _add_disturbance(lp, modes, gamma, d):
                 lp.add_row([*d, on], [*row, M], upper=offset + M)
 
 
+def _stay_in(lp, x, P):
+    """H x <= h, moved outward by the solver's tolerance: an end of a thin set that the solver misses is not lost."""
+    lp.add_rows(x, P.H, upper=P.h + MIP_TOLERANCE * np.linalg.norm(P.H, axis=1))
+
+
 def _paper(loop, F, box, steps):
     """The paper's plain formulation over x(0) in F: all binaries, one big-M a layer and one for the plant."""
     modes, X, n, lp = loop.system.modes, loop.system.state_set, loop.system.state_size, LinearProgram()
     x = lp.add_columns(box.lower[0, :n], box.upper[0, :n])
-    lp.add_rows(x, F.H, upper=F.h)
+    _stay_in(lp, x, F)
     model = Model(lp, [x], [], [], [])
     d_low, d_high = widened(*disturbance_box(modes))
     for _ in range(steps):
-        lp.add_rows(x, X.H, upper=X.h)
+        _stay_in(lp, x, X)
         u = _add_paper_network(lp, loop.network, x)
         gamma, d = lp.add_columns(np.zeros(len(modes)), np.ones(len(modes))), lp.add_columns(d_low, d_high)
         lp.add_row(gamma, np.ones(len(modes)), 1, 1)

@@ -28,6 +28,7 @@ FORMULATIONS = ("split", "whole", "paper")
 MARGIN = (
     2e-9  # beside MIP_TOLERANCE, by which HiGHS may prune what is better: for gap and LPs, relative to 1 + the bound
 )
+LOOSE = 1e-7  # a bound further above the best trajectory is asked for again with smaller big-M (relative to 1 + it)
 DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
 INPUT_TOLERANCE = 1e-7  # how far Phi may leave U, for rounding (relative to 1 + the size of the limit)
 FEW = 8  # binaries a step of a box that is not split further
@@ -254,12 +255,13 @@ class _Leaves:
         self.found = bound_loop(ask.loop, boxes, ask.steps)
         self.binaries = self.found.binaries
 
-    def model(self, index):
-        """The model on one box, of all of F for None; None if there is nothing."""
+    def model(self, index, bounds=None):
+        """The model on one box, of all of F for None; None if there is nothing. `bounds` as in `support`."""
         if index is None:
             box = root_box(self.ask.loop, self.ask.F, self.ask.steps)
             return self.ask.model(self.ask.bounds, box, bound_loop(self.ask.loop, box, self.ask.steps).at(0))
-        bounds = "interval" if self.binaries[index] <= FEW * self.ask.steps else self.ask.bounds
+        if bounds is None:
+            bounds = "interval" if self.binaries[index] <= FEW * self.ask.steps else self.ask.bounds
         return self.ask.model(bounds, self.boxes.take([index]), self.found.at(index))
 
     def settle(self, row, answer, cutoff, models):
@@ -277,7 +279,12 @@ class _Leaves:
             if chosen not in models:
                 models[chosen] = self.model(chosen)
             if models[chosen] is not None:
-                _ask_solver(self.ask, models[chosen], answer, remaining, upper[index])
+                bound = min(_ask_solver(self.ask, models[chosen], answer, remaining), upper[index])
+                if chosen is not None and answer.finished and bound > answer.value + LOOSE * (1 + abs(bound)):
+                    models[chosen] = self.model(chosen, self.ask.bounds)  # a smaller big-M amplifies tolerances less
+                    if models[chosen] is not None:
+                        bound = min(bound, _ask_solver(self.ask, models[chosen], answer, remaining))
+                answer.bound = max(answer.bound, bound)
             if chosen is None:
                 break
 
@@ -375,26 +382,27 @@ def _at_once(ask, formulation, jobs):
         model = build(ask.loop, ask.F, ask.steps, ask.bounds, formulation)
         if model is not None:
             for row in rows:
-                _ask_solver(ask, model, answers[row], ask.time_limit, np.inf)
+                answers[row].bound = _ask_solver(ask, model, answers[row], ask.time_limit)
 
     _share(settle, len(answers), jobs)
     return answers
 
 
-def _ask_solver(ask, model, answer, time_limit, known):
-    """Solve a model along the answer's direction; `known` is a bound already."""
+def _ask_solver(ask, model, answer, time_limit):
+    """Solve a model along the answer's direction, offer its trajectory to the answer, and return the bound."""
     bound, point, finished = _solve(model, answer.v, time_limit, ask.gap)
+    bound = float(_above(bound))
     answer.finished &= finished
-    answer.bound = max(answer.bound, min(known, float(_above(bound))))
     if point is None:
-        return
+        return bound
     x = point[model.states[0]]
     if ask.inputs:
         answer.offer(answer.v @ ask.loop.network(x), (x, [], []))
-        return
+        return bound
     modes = [int(np.argmax(point[columns])) for columns in model.modes]
     path = (x, modes, [point[d] for d in model.disturbances])
     answer.offer(answer.v @ replay(ask.loop, *path).states[-1], path)
+    return bound
 
 
 def _solve(model, v, time_limit=None, gap=1e-9):
