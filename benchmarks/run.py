@@ -46,7 +46,6 @@ def main():
         print("\n## Against other solvers\n")
         reached += peers.main([])
     if "wide" in parts:
-        print("\n## A large network\n")
         reached += child("growth.py", "--wide")
     if "growth" in parts:
         print("\n## Growth\n", flush=True)
