@@ -243,11 +243,11 @@ def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progres
     tol, X = _tolerance(engine, tol), loop.system.state_set
     V = _with_rows(_template(loop, C), X.H)
     limit = _offsets(X, V)
-    h, history = X.support(V), [X]
+    h, history, image = X.support(V), [X], None
     with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
         for k in range(max_iterations + 1):
             try:
-                image = support(loop, history[-1], V, engine=engine, **options)
+                image = support(loop, history[-1], V, engine=engine, **_reused(engine, image), **options)
             except SolverStopped as stop:
                 return SafeSet(None, k, history, "unknown", str(stop), None)
             worst = int(np.argmax(image.bound - limit))
@@ -330,7 +330,8 @@ def terminal_set(
     c = _centre(loop, centre)
     V = _with_rows(_template(loop, C), F.H)
     history, alphas = [F], []
-    h, after = F.support(V), support(loop, F, V, engine=engine, **options).bound
+    image = support(loop, F, V, engine=engine, **options)
+    h, after = F.support(V), image.bound
     _require_own(after - h, tol)
     criterion = stagnant = False
     with tqdm(total=max_steps, desc="terminal set", disable=not progress) as bar:
@@ -341,7 +342,8 @@ def terminal_set(
             reach = R.support(V)
             alphas.append(_growth(R, reach, h, c))
             h, history = smaller, [*history, R]
-            after = support(loop, R, V, engine=engine, **options).bound
+            image = support(loop, R, V, engine=engine, **_reused(engine, image), **options)
+            after = image.bound
             criterion = _is_near_limit(loop, R, reach, after, V, epsilon, c, engine, options)
             bar.update()
     k = len(alphas)
@@ -511,6 +513,11 @@ def ultimately_bounded(plant, loop, safe, terminal, engine=None, **options):
 def _tolerance(engine, tol):
     """The tolerance of a comparison: what the engine resolves, or `tol`."""
     return RESOLUTION.get(engine, 0.0) if tol is None else float(real_array(tol, "tol", 0))
+
+
+def _reused(engine, before):
+    """What the MILP is told of the support of the last, larger set: its bounds still hold."""
+    return {"known": before.bound} if engine == "milp" and before is not None else {}
 
 
 def _require_own(excess, tol):

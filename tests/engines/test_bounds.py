@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from loops import random_loop, random_network
 
-from mireach import Polytope, directions
+from mireach import Polytope, directions, safe_set
 from mireach.engines import exact, milp
 from mireach.engines.bounds import upper_bound
 from mireach.engines.boxes import Boxes, bound_loop
@@ -152,3 +152,28 @@ def test_bad_options_are_named(options, words):
     with pytest.raises(ValueError) as error:
         milp.support(loop, loop.system.state_set, directions(5), **options)
     assert all(word in str(error.value) for word in words), str(error.value)
+
+
+@pytest.mark.parametrize("formulation", ["split", "whole"])
+def test_bounds_that_hold_already_are_kept_and_nothing_is_lost(formulation):
+    for seed in range(4):
+        loop = random_loop(seed)
+        X, V = loop.system.state_set, directions(6)
+        whole = milp.support(loop, X, V).bound
+        for F in (X, X.scale(0.6)):
+            fresh = milp.support(loop, F, V, formulation=formulation)
+            told = milp.support(loop, F, V, formulation=formulation, known=whole)
+            assert (told.bound <= whole).all()
+            np.testing.assert_allclose(told.bound, fresh.bound, atol=1e-6)
+            assert (told.bound >= exact.support(loop, F, V).value - 1e-9).all()
+    with pytest.raises(ValueError, match=r"known has shape \(2,\), but V has 6 rows"):
+        milp.support(loop, X, V, known=[1.0, 2.0])
+
+
+@pytest.mark.parametrize("seed", [1, 4, 6])
+def test_sequences_by_the_milp_agree_with_those_by_cells(seed):
+    loop = random_loop(seed, kinds=("box",), gain=0.3)
+    found, expected = (safe_set(loop, engine=engine, max_iterations=8) for engine in ("milp", "cells"))
+    assert found.verdict == expected.verdict and len(found.history) == len(expected.history)
+    for F, G in zip(found.history, expected.history):
+        np.testing.assert_allclose(F.support(F.H), G.support(F.H), atol=1e-5)

@@ -49,6 +49,7 @@ def support(
     formulation="split",
     bounds="lp",
     cutoff=None,
+    known=None,
     time_limit=None,
     gap=1e-9,
     jobs=1,
@@ -74,6 +75,8 @@ def support(
     cutoff : array (k,) or None
         Where only "is h at most this?" is asked: what is shown to lie below is not looked at further, so that `bound`
         may then be anything between h and the cutoff. It is not used by "whole" and "paper".
+    known : array (k,) or None
+        Bounds on h that hold already, such as those of a larger set: where simulation attains them, nothing is solved.
     time_limit : float or None
         Seconds for each direction.
     gap : float
@@ -108,16 +111,14 @@ def support(
     if bounds not in METHODS:
         raise ValueError(f"bounds must be one of {METHODS}; got {bounds!r}")
     time_limit = None if time_limit is None else positive_number(time_limit, "time_limit")
-    cutoff = np.full(len(V), -np.inf) if cutoff is None else np.asarray(cutoff, float)
-    if cutoff.shape != (len(V),):
-        raise ValueError(f"cutoff has shape {cutoff.shape}, but V has {len(V)} rows; give one number each")
+    cutoff, known = _one_a_row(cutoff, "cutoff", V, -np.inf), _one_a_row(known, "known", V, np.inf)
     jobs = whole_number(jobs, "jobs", 1)
     X = loop.system.state_set
     start = F & X
     if start.is_empty:
         return empty_support(len(V))
     check_inputs(loop, start if steps == 1 else X, bounds)
-    ask = _Ask(loop, start, V, steps, bounds, gap, time_limit)
+    ask = _Ask(loop, start, V, steps, bounds, gap, time_limit, known)
     answers = _split(ask, cutoff, jobs) if formulation == "split" else _at_once(ask, formulation, jobs)
     value, bound = (np.array([getattr(answer, name) for answer in answers]) for name in ("value", "bound"))
     witness = tuple(answer.witness(loop) for answer in answers)
@@ -130,11 +131,20 @@ def support(
     return found
 
 
+def _one_a_row(values, name, V, missing):
+    """An argument with one number for each row of V, as an array (k,)."""
+    values = np.full(len(V), missing) if values is None else np.asarray(values, float)
+    if values.shape != (len(V),):
+        raise ValueError(f"{name} has shape {values.shape}, but V has {len(V)} rows; give one number each")
+    return values
+
+
 @dataclass(frozen=True, eq=False)
 class _Ask:
     """The question: the largest v x(k), or v u(0), over trajectories from F, for each row v of V.
 
-    F lies in X. `inputs` asks for u(0) instead of x(k); the rest is as in `support`.
+    F lies in X. `known` (k,) are bounds that hold already; `inputs` asks for u(0) instead of x(k); the rest is as in
+    `support`.
     """
 
     loop: object
@@ -144,6 +154,7 @@ class _Ask:
     bounds: str
     gap: float
     time_limit: float | None
+    known: np.ndarray
     inputs: bool = False
 
     @cached_property
@@ -207,7 +218,7 @@ def _split(ask, cutoff, jobs):
     simulation.improve()
     k, budget = len(ask.V), np.inf if ask.time_limit is None else ask.time_limit * len(ask.V)
     boxes = root_box(ask.loop, ask.F, ask.steps)
-    upper, settled, looked, left = np.full((1, k), np.inf), np.full(k, -np.inf), 0, []
+    upper, settled, looked, left = ask.known[None].copy(), np.full(k, -np.inf), 0, []
     while len(boxes):
         now, later = np.arange(len(boxes)) < AT_ONCE, np.arange(len(boxes)) >= AT_ONCE
         waiting, waiting_upper = boxes.take(later), upper[later]
@@ -382,7 +393,7 @@ def _at_once(ask, formulation, jobs):
         model = build(ask.loop, ask.F, ask.steps, ask.bounds, formulation)
         if model is not None:
             for row in rows:
-                answers[row].bound = _ask_solver(ask, model, answers[row], ask.time_limit)
+                answers[row].bound = min(_ask_solver(ask, model, answers[row], ask.time_limit), ask.known[row])
 
     _share(settle, len(answers), jobs)
     return answers
@@ -431,7 +442,7 @@ def check_inputs(loop, start, bounds="lp"):
     open_rows = found.highest_input(U.H)[0] > U.h + tol
     if not open_rows.any():
         return
-    ask = _Ask(loop, start, U.H[open_rows], 1, bounds, 1e-9, None, inputs=True)
+    ask = _Ask(loop, start, U.H[open_rows], 1, bounds, 1e-9, None, np.full(len(open_rows), np.inf), inputs=True)
     for answer, most in zip(_split(ask, (U.h + tol)[open_rows], 1), tol[open_rows]):
         if answer.path is not None:
             require_inputs(loop.network, U, answer.path[0][None], tol=most)
