@@ -13,13 +13,13 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from statistics import median
 from time import perf_counter
 
 import highspy
 import numba
 import numpy as np
 import peers
+from growth import seconds
 
 import mireach as mr
 from mireach import case_studies, planar
@@ -145,14 +145,8 @@ def sets_of(case, anew=False):
 
 
 def row(label, work, factor, unit, runs):
-    """Time `work` after one run that is not counted."""
-    work()
-    seconds = []
-    for _ in range(runs):
-        begin = perf_counter()
-        work()
-        seconds.append(perf_counter() - begin)
-    print(f"| {label} | {median(seconds) * factor:.3g} | {unit} | {runs} |", flush=True)
+    """Print the median time of `work`."""
+    print(f"| {label} | {seconds(work, runs) * factor:.3g} | {unit} | {runs} |", flush=True)
 
 
 def whole_process():
@@ -162,8 +156,8 @@ def whole_process():
         command += [part for name in ("results", "figures", "certificates") for part in (f"--{name}", folder)]
         begin = perf_counter()
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        seconds = perf_counter() - begin
-    print(f"| reproduce, whole process | {seconds:.3g} | s | 1 |")
+        took = perf_counter() - begin
+    print(f"| reproduce, whole process | {took:.3g} | s | 1 |")
     try:
         import resource
     except ImportError:  # Windows has no such accounting
