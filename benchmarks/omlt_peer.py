@@ -12,7 +12,7 @@ from omlt.neuralnet.layer import DenseLayer, InputLayer
 from pyomo.contrib.solver.solvers.highs import Highs
 
 from mireach.engines.formulation import disturbance_box
-from mireach.lp import MIP_TOLERANCE, TOLERANCE
+from mireach.lp import GAP, MIP_TOLERANCE, TOLERANCE
 
 OPTIONS = {
     "mip_feasibility_tolerance": MIP_TOLERANCE,
@@ -31,8 +31,8 @@ def _maximum(model, limit):
     found = Highs().solve(
         model,
         time_limit=limit,
-        rel_gap=1e-9,
-        abs_gap=1e-9,
+        rel_gap=GAP,
+        abs_gap=GAP,
         solver_options=OPTIONS,
         load_solutions=False,
         raise_exception_on_nonoptimal_result=False,

@@ -22,6 +22,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 
 import mireach as mr
 from mireach.engines import milp
+from mireach.lp import GAP, MIP_TOLERANCE
 
 FOLDER = Path(__file__).resolve().parent / ".peers"
 PACKAGES = {
@@ -192,11 +193,11 @@ def gurobi(model, v):
     cost, A, row_low, row_high, low, high, binary = parts(model, v)
     with gp.Env(params={"OutputFlag": 0}) as env, gp.Model(env=env) as m:
         for name, setting in {
-            "MIPGap": 1e-9,
-            "MIPGapAbs": 1e-9,
-            "FeasibilityTol": 1e-8,
-            "IntFeasTol": 1e-8,
-            "OptimalityTol": 1e-9,
+            "MIPGap": GAP,
+            "MIPGapAbs": GAP,
+            "FeasibilityTol": MIP_TOLERANCE,
+            "IntFeasTol": MIP_TOLERANCE,
+            "OptimalityTol": MIP_TOLERANCE,
             "TimeLimit": LIMIT,
         }.items():
             m.setParam(name, setting)
@@ -220,7 +221,7 @@ def scip(model, v):
     cost, A, row_low, row_high, low, high, binary = parts(model, v)
     m = pyscipopt.Model()
     m.hideOutput()
-    m.setParams({"limits/gap": 1e-9, "limits/time": LIMIT, "numerics/feastol": 1e-8})
+    m.setParams({"limits/gap": GAP, "limits/time": LIMIT, "numerics/feastol": MIP_TOLERANCE})
     x = [
         m.addVar(vtype="B" if b else "C", lb=None if lo == -np.inf else lo, ub=None if hi == np.inf else hi)
         for b, lo, hi in zip(binary, low, high)

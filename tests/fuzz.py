@@ -8,8 +8,7 @@ from loops import random_images, random_loop
 from mireach import Polytope, SolverError, box_directions, directions
 from mireach.engines import cells, exact, milp
 
-CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1 ...
-LARGE, STEEP = 25, 50  # ... if no coordinate of R_1(X) and no gain |M| is above these, and in proportion otherwise
+CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1
 RESOLVED = 1e-6  # what bounds of the MILP may differ from it
 ROUNDED = 1e-9  # by which the images of samples may pass a bound: the samples themselves are rounded
 TOUCHING = {"cells": 1e-10, "milp": 1e-7, "samples": 1e-12}  # sets that come this close may count as touching
@@ -74,12 +73,6 @@ def size_of(loop):
     return np.abs(exact.support(loop, loop.system.state_set, box_directions(2)).bound).max()
 
 
-def allowance(loop):
-    """What bounds of the float cells may lie above the exact value, for rows of length 1."""
-    gain = max(abs(float(row[0])) + abs(float(row[1])) for cell in exact.cells(loop) for row in cell.M)
-    return CLOSE * max(1, size_of(loop) / LARGE, gain / STEEP)
-
-
 def widened(F, by):
     """F with rows of length 1 moved outward."""
     return Polytope(F.H, F.h + by * np.linalg.norm(F.H, axis=1))
@@ -96,15 +89,14 @@ def disagreements(seed, milp_sets=2):
     rng, loop = some_loop(seed)
     V = np.vstack([directions(5), rng.normal(size=(1, 2)) * 30])
     length, found, asked = np.maximum(1, np.linalg.norm(V, axis=1)), [], Counter()
-    size, close = size_of(loop), allowance(loop)
-    sets = list(some_sets(loop, rng))
+    size, sets = size_of(loop), list(some_sets(loop, rng))
     for_milp = set(rng.choice(len(sets), milp_sets, replace=False).tolist())
     for number, (kind, F) in enumerate(sets):
         h = exact.support(loop, F, V).bound
-        bounds = {"exact": (h, 0.0, 0.0), "cells": (cells.support(loop, F, V).bound, 0.0, close)}
+        bounds = {"exact": (h, 0.0, 0.0), "cells": (cells.support(loop, F, V).bound, 0.0, CLOSE)}
         if number in for_milp:
             try:
-                bounds["milp"] = (milp.support(loop, F, V).bound, ROUNDED, RESOLVED * max(1, size / 10))
+                bounds["milp"] = (milp.support(loop, F, V).bound, ROUNDED, RESOLVED)
             except SolverError:
                 asked["milp without an answer"] += len(V)
         at = {who: exact.support(loop, widened(F, by), V).bound for who, by in TOUCHING.items()}

@@ -213,8 +213,8 @@ def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corn
     shape : array (N, 3) of int
         How many corners each piece has, the polygon that it is a part of, and how many cuts have shaped it.
     values : array (N, 4 m)
-        K (two numbers), g and the error of each output in turn: |K x + g - Phi(x)| is at most the error wherever x
-        lies within the number of cuts times `corner` of the piece.
+        K (two numbers), g and the error of each output in turn. Every x of the polygons lies in a piece, or within
+        its number of cuts times `corner`, such that |K x + g - Phi(x)| is at most the error.
 
     Notes
     -----
@@ -223,9 +223,9 @@ def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corn
 
     The pieces cover the polygons, but for slits: each cut may lose what lies within `corner` of an edge. The error
     adds up along the layers. With E and s the errors and sizes |K| |x| + |g| of a neuron's inputs and u the rounding
-    unit, a channel has the error |W| (E + (n + 4) 2 u s) + ..., and its neuron the largest of them, plus what the
-    winner is behind at the corners of the piece (the difference is convex, so it is largest there), plus what that
-    changes within the slits.
+    unit, a channel has the error e = |W| (E + (n + 4) 2 u s) + ... A neuron that channel j wins has the error of j, or
+    that of another channel c where this one may be ahead: e_c + (z_c - z_j at the corners of the piece, where an affine
+    function is largest) + |K_c - K_j| (width of the slits).
     """
     layers = len(pools)
     first_neuron, first_row = np.zeros(layers + 2, np.int64), np.zeros(layers + 2, np.int64)
@@ -241,21 +241,21 @@ def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corn
         layer_of[first_neuron[l + 1] : first_neuron[l + 2]] = l
     affine, error, slope = np.zeros((rows, 3)), np.zeros(rows), np.zeros(rows)  # K and g of every channel
     affine[0, 0] = affine[1, 1] = slope[0] = slope[1] = 1.0
-    won, behind = np.zeros(neurons, np.int64), np.zeros(neurons)  # the winning channel of each neuron, what it lacks
+    won, unsure = np.zeros(neurons, np.int64), np.zeros(neurons)  # the winning channel of each neuron, its error
     inputs, doubt = np.empty((widest, 3)), np.empty(widest)
     room = 4 * (_most(starts) + rows)
     polygon, part, spare, excess = np.empty((room, 2)), np.empty((room, 2)), np.empty((room, 2)), np.empty(room)
     z, lead, active = np.empty((room, pool)), np.empty(pool), np.empty(pool, np.bool_)
-    waiting, waiting_points, waiting_behind = np.empty((64, 5), np.int64), np.empty((512, 2)), np.empty((64, 1))
+    waiting, waiting_points, waiting_unsure = np.empty((64, 5), np.int64), np.empty((512, 2)), np.empty((64, 1))
     found, found_points, found_values = np.empty((64, 3), np.int64), np.empty((512, 2)), np.empty((64, 4 * sizes[-1]))
     depth, top, count, last = 0, 0, 0, 0
     for i in range(len(starts) - 2, -1, -1):
         size = starts[i + 1] - starts[i]
         waiting, waiting_points = _grown(waiting, depth + 1), _grown(waiting_points, top + size)
-        waiting_behind = _grown(waiting_behind, depth + 1)
+        waiting_unsure = _grown(waiting_unsure, depth + 1)
         _copy(points, starts[i], size, waiting_points, top)
         waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = 1, 1, shaped
-        waiting[depth, 3], waiting[depth, 4], waiting_behind[depth, 0] = i, size, 0.0
+        waiting[depth, 3], waiting[depth, 4], waiting_unsure[depth, 0] = i, size, 0.0
         depth, top = depth + 1, top + size
     while depth:
         depth -= 1
@@ -263,7 +263,7 @@ def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corn
         owner, size = waiting[depth, 3], waiting[depth, 4]
         top -= size
         _copy(waiting_points, top, size, polygon, 0)
-        won[neuron], behind[neuron] = row, waiting_behind[depth, 0]
+        won[neuron], unsure[neuron] = row, waiting_unsure[depth, 0]
         while True:
             neuron += 1
             layer = layer_of[neuron]
@@ -274,32 +274,30 @@ def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corn
                 for i in range(before):
                     own = won[start + i]
                     inputs[i, 0], inputs[i, 1], inputs[i, 2] = affine[own, 0], affine[own, 1], affine[own, 2]
-                    own, worst, extent = first_row[layer] + i * channels_before, 0.0, 0.0
+                    own, extent = first_row[layer] + i * channels_before, 0.0
                     for r in range(own, own + channels_before):
-                        worst, extent = max(worst, error[r]), max(extent, slope[r] * reach + abs(affine[r, 2]))
-                    doubt[i] = worst + behind[start + i] + rounding * extent
+                        extent = max(extent, slope[r] * reach + abs(affine[r, 2]))
+                    doubt[i] = unsure[start + i] + rounding * extent
                 at = first_weight[layer]
                 for r in range(sizes[layer + 1] * channels):
-                    k0, k1, g, unsure = 0.0, 0.0, 0.0, 0.0
+                    k0, k1, g, summed = 0.0, 0.0, 0.0, 0.0
                     for i in range(before):
                         w = weight[at + i]
                         k0 += w * inputs[i, 0]
                         k1 += w * inputs[i, 1]
                         g += w * inputs[i, 2]
-                        unsure += abs(w) * doubt[i]
+                        summed += abs(w) * doubt[i]
                     at += before
                     to = first_row[layer + 1] + r
                     offset = bias[to - 2]
                     affine[to, 0], affine[to, 1], affine[to, 2] = k0, k1, g + offset
-                    error[to], slope[to] = unsure * (1 + rounding) + rounding * abs(offset), abs(k0) + abs(k1)
+                    error[to], slope[to] = summed * (1 + rounding) + rounding * abs(offset), abs(k0) + abs(k1)
                 if layer == layers - 1:
                     break
             base = first_row[layer + 1] + (neuron - first_neuron[layer + 1]) * channels
-            steepest = 0.0
+            slits = (cuts + channels) * corner
             for c in range(channels):
-                steepest = max(steepest, slope[base + c])
                 lead[c] = np.inf
-            within_slits = 2 * steepest * (cuts + channels) * corner
             for t in range(size):
                 highest_here = -np.inf
                 for c in range(channels):
@@ -323,17 +321,18 @@ def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corn
                         if not kept:
                             continue
                         waiting, waiting_points = _grown(waiting, depth + 1), _grown(waiting_points, top + kept)
-                        waiting_behind = _grown(waiting_behind, depth + 1)
+                        waiting_unsure = _grown(waiting_unsure, depth + 1)
                         _copy(part, 0, kept, waiting_points, top)
                         waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = neuron, base + j, cuts + left - 1
                         waiting[depth, 3], waiting[depth, 4] = owner, kept
-                        waiting_behind[depth, 0] = _lag(part, kept, affine, base, channels, j) + within_slits
+                        waiting_unsure[depth, 0] = _doubt(part, kept, affine, error, base, channels, j, slits)
                         depth, top = depth + 1, top + kept
                     break
                 for c in range(channels):
                     if active[c]:
                         best = c
-            won[neuron], behind[neuron] = base + best, within_slits - lead[best]
+            won[neuron] = base + best
+            unsure[neuron] = _doubt(polygon, size, affine, error, base, channels, best, slits)
         if neuron != first_neuron[layers]:
             continue
         found, found_points = _grown(found, count + 1), _grown(found_points, last + size)
@@ -409,13 +408,17 @@ def _contenders(polygon, size, affine, base, channels, touch, part, spare, exces
 
 
 @njit(cache=True)
-def _lag(polygon, size, affine, base, channels, j):
-    """How far channel j is behind the largest one at the corners of a polygon, at most."""
-    most = 0.0
-    for t in range(size):
-        own = _at(affine, base + j, polygon, t)
-        for c in range(channels):
-            most = max(most, _at(affine, base + c, polygon, t) - own)
+def _doubt(polygon, size, affine, error, base, channels, j, slits):
+    """By how much the largest channel may differ from K x + g of channel j within `slits` of a polygon, at most."""
+    most = error[base + j]
+    for c in range(channels):
+        if c == j:
+            continue
+        a0, a1 = affine[base + c, 0] - affine[base + j, 0], affine[base + c, 1] - affine[base + j, 1]
+        b, ahead = affine[base + c, 2] - affine[base + j, 2], -np.inf
+        for t in range(size):
+            ahead = max(ahead, a0 * polygon[t, 0] + a1 * polygon[t, 1] + b)
+        most = max(most, error[base + c] + ahead + (abs(a0) + abs(a1)) * slits)
     return most
 
 

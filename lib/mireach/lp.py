@@ -7,8 +7,9 @@ import numpy as np
 
 from .errors import SolverError
 
-MIP_TOLERANCE = 1e-8  # feasibility in a MILP; `engines.bounds.SAFETY` has to stay far above it
-TOLERANCE = 1e-9  # HiGHS keeps constraints and reduced costs to within this, in units of the row
+MIP_TOLERANCE = 1e-9  # feasibility in a MILP; `engines.bounds.SAFETY` has to stay far above it
+GAP = 1e-10  # between the bound of a MILP and its best point, at which the solver may stop; relative and absolute
+TOLERANCE = 1e-10  # HiGHS keeps constraints and reduced costs to within this, in units of the row
 
 DUAL, PRIMAL = 1, 4  # HiGHS's numbers for its simplex methods; the dual one is its default
 CONCLUSIVE = (
@@ -150,7 +151,7 @@ class LinearProgram:
             return Optimum(0.0, np.zeros(0))
         raise SolverError(f"HiGHS ended a linear program with {self.highs.modelStatusToString(status)}")
 
-    def maximize_integer(self, columns, coefficients, *, gap=1e-9, nodes=None, time_limit=None):
+    def maximize_integer(self, columns, coefficients, *, gap=GAP, nodes=None, time_limit=None):
         """max coefficients x[columns] over the constraints so far, the `binaries` being 0 or 1.
 
         Parameters

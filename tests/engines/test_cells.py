@@ -28,7 +28,8 @@ from mireach import (
     exact_reach,
     safe_set,
 )
-from mireach.engines.cells import cells, support
+from mireach.engines import exact
+from mireach.engines.cells import CORNER, cells, support
 from mireach.plants import chessboard
 
 V = np.vstack([directions(5), [[-5, 1]]])
@@ -213,13 +214,16 @@ def test_areas_of_the_cells_add_up_to_the_state_set(seed):
 
 
 @pytest.mark.parametrize("gain", [0.6, 30.0, 1e4])
+@pytest.mark.parametrize("layers", [2, 3])
 @pytest.mark.parametrize("seed", range(3))
-def test_error_of_a_cell_covers_the_exact_input(seed, gain):
-    """K x + g against Phi(x) in rational numbers, in the middle and at the corners of every cell."""
-    found = cells(random_loop(seed, cuts=1, layers=2, width=3, pool=3, saturated=True, gain=gain))
-    net = random_loop(seed, cuts=1, layers=2, width=3, pool=3, saturated=True, gain=gain).network
+def test_error_of_a_cell_covers_the_exact_input(seed, layers, gain):
+    """K x + g against Phi(x) in rational numbers, in the middle of every cell, at its corners and a cut beyond them."""
+    loop = random_loop(seed, cuts=1, layers=layers, width=3, pool=3, saturated=True, gain=gain)
+    found, net, rng = cells(loop), loop.network, np.random.default_rng(seed)
     for i in range(len(found)):
-        points = np.vstack([found.polygons[i], found.polygons[i].mean(axis=0)])
+        corners = found.polygons[i]
+        beyond = corners + found.size * CORNER * rng.choice([-1, 1], corners.shape)
+        points = np.vstack([corners, beyond, corners.mean(axis=0)])
         K, g = ([[Fraction(value) for value in row] for row in part] for part in (found.K[i].tolist(), [found.g[i]]))
         for x in points.tolist():
             piece = [a * Fraction(x[0]) + b * Fraction(x[1]) + c for (a, b), c in zip(K, g[0])]
@@ -278,10 +282,16 @@ def test_bound_scales_with_the_length_of_a_direction(length):
     assert (scaled.bound - scaled.value <= 1e-9 * np.maximum(length, 1)).all()
 
 
-def test_large_disturbances_are_covered_by_the_rounding():
-    D = Polytope.box([-1e6 / 3, -1e6 / 7], [1e6 / 3, 1e6 / 7])
-    found = support(affine_loop(0.5 * np.eye(2), D), Polytope.box([-1, -1], [1, 1]), V)
-    assert (found.bound - found.value >= 1e-8).all()
+@pytest.mark.parametrize("size", [1e2, 1e4, 1e6])
+def test_large_disturbances_are_covered_by_the_rounding(size):
+    """And equal sets give equal numbers, in whichever order their rows come."""
+    loop = affine_loop(0.5 * np.eye(2), Polytope.box([-size / 3, -size / 7], [size / 3, size / 7]))
+    X, half = Polytope.box([-1, -1], [1, 1]), Polytope([[1.0, 1], [-1, 0], [1, 3]], [0.3, 0.7, 0.2])
+    bound, exactly = support(loop, X, V).bound, exact.support(loop, X, V).value
+    assert (bound >= exactly).all()
+    assert (bound <= exactly + (1e-13 * size + 4e-10) * np.linalg.norm(V, axis=1)).all()
+    first, second = (support(loop, Polytope(half.H[order], half.h[order]), V).bound for order in ([0, 1, 2], [2, 0, 1]))
+    np.testing.assert_array_equal(first, second)
 
 
 def test_flat_state_set_gives_flat_cells():

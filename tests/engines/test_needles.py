@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fuzz import CLOSE, allowance, some_loop
+from fuzz import CLOSE, some_loop
 from loops import jump_loop, random_loop
 
 from mireach import Polytope, directions
@@ -37,8 +37,8 @@ def assert_agree(loop, F, V):
     found, exactly = cells.support(loop, F, V), exact.support(loop, F, V).value
     lengths = np.maximum(1, np.linalg.norm(V, axis=1))
     assert (found.bound >= exactly).all()
-    assert (found.bound <= exactly + allowance(loop) * lengths).all()
-    assert (found.value <= exactly + 0.1 * allowance(loop) * lengths).all()
+    assert (found.bound <= exactly + CLOSE * lengths).all()
+    assert (found.value <= exactly + 0.1 * CLOSE * lengths).all()
 
 
 @pytest.mark.parametrize("first", range(1000, 1036, 12))

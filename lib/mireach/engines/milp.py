@@ -16,7 +16,7 @@ import numpy as np
 from ..checks import positive_number, real_array, whole_number
 from ..errors import SolverError, SolverStopped
 from ..loop import require_inputs
-from ..lp import MIP_TOLERANCE
+from ..lp import GAP, MIP_TOLERANCE
 from .bounds import METHODS, SAFETY
 from .boxes import ROUNDING, Boxes, bound_loop
 from .common import Support, checked_query, empty_support, replay
@@ -26,7 +26,7 @@ __all__ = ["FORMULATIONS", "Model", "build", "check_inputs", "support"]
 
 FORMULATIONS = ("split", "whole", "paper")
 MARGIN = (
-    2e-9  # beside MIP_TOLERANCE, by which HiGHS may prune what is better: for gap and LPs, relative to 1 + the bound
+    2e-10  # beside MIP_TOLERANCE, by which HiGHS may prune what is better: for gap and LPs, relative to 1 + the bound
 )
 LOOSE = 1e-7  # a bound further above the best trajectory is asked for again with smaller big-M (relative to 1 + it)
 DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
@@ -51,7 +51,7 @@ def support(
     cutoff=None,
     known=None,
     time_limit=None,
-    gap=1e-9,
+    gap=GAP,
     jobs=1,
 ):
     """h of R_k(F) along the rows of V by the MILP of Lemma 2, for any k, n and m.
@@ -91,7 +91,7 @@ def support(
     -------
     Support
         `bound` is HiGHS's dual bound plus its tolerance, or the bound from boxes where no model is needed; `value`
-        what the witness attains when it is replayed on the loop (constraints hold to HiGHS's tolerance of 1e-8).
+        what the witness attains when it is replayed on the loop (constraints hold to HiGHS's tolerance of 1e-9).
 
     Raises
     ------
@@ -416,7 +416,7 @@ def _ask_solver(ask, model, answer, time_limit):
     return bound
 
 
-def _solve(model, v, time_limit=None, gap=1e-9):
+def _solve(model, v, time_limit, gap):
     """max v x(k): dual bound (-inf if infeasible), the best point or None, and whether the solver finished."""
     found = model.program.maximize_integer(model.states[-1], v, gap=gap, time_limit=time_limit)
     return found.bound, found.point, found.finished
@@ -442,7 +442,7 @@ def check_inputs(loop, start, bounds="lp"):
     open_rows = found.highest_input(U.H)[0] > U.h + tol
     if not open_rows.any():
         return
-    ask = _Ask(loop, start, U.H[open_rows], 1, bounds, 1e-9, None, np.full(len(open_rows), np.inf), inputs=True)
+    ask = _Ask(loop, start, U.H[open_rows], 1, bounds, GAP, None, np.full(len(open_rows), np.inf), inputs=True)
     for answer, most in zip(_split(ask, (U.h + tol)[open_rows], 1), tol[open_rows]):
         if answer.path is not None:
             require_inputs(loop.network, U, answer.path[0][None], tol=most)
