@@ -516,8 +516,8 @@ def _tolerance(engine, tol):
 
 
 def _reused(engine, before):
-    """What the MILP is told of the support of the last, larger set: its bounds still hold."""
-    return {"known": before.bound} if engine == "milp" and before is not None else {}
+    """What the MILP is told: the support of the last, larger set, whose bounds and boxes still hold."""
+    return {"known": before} if engine == "milp" and before is not None else {}
 
 
 def _require_own(excess, tol):

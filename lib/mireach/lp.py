@@ -86,6 +86,14 @@ class LinearProgram:
         self.lower, self.upper, self.binaries = np.zeros(0), np.zeros(0), []
         self._costed, self._declared = np.zeros(0, dtype=np.int32), 0
 
+    def copy(self):
+        """A program of its own with the same constraints, binaries and objective."""
+        other = LinearProgram()
+        other.highs.passModel(self.highs.getLp())
+        other.lower, other.upper, other.binaries = self.lower.copy(), self.upper.copy(), list(self.binaries)
+        other._costed, other._declared = self._costed, self._declared
+        return other
+
     def add_columns(self, lower, upper):
         """Add variables with bounds (k,) each; returns their indices (k,)."""
         lower, upper = np.broadcast_arrays(np.asarray(lower, float), np.asarray(upper, float))

@@ -159,15 +159,34 @@ def test_bounds_that_hold_already_are_kept_and_nothing_is_lost(formulation):
     for seed in range(4):
         loop = random_loop(seed)
         X, V = loop.system.state_set, directions(6)
-        whole = milp.support(loop, X, V).bound
+        whole = milp.support(loop, X, V)
         for F in (X, X.scale(0.6)):
             fresh = milp.support(loop, F, V, formulation=formulation)
-            told = milp.support(loop, F, V, formulation=formulation, known=whole)
-            assert (told.bound <= whole).all()
-            np.testing.assert_allclose(told.bound, fresh.bound, atol=1e-6)
-            assert (told.bound >= exact.support(loop, F, V).value - 1e-9).all()
+            for known in (whole.bound, whole):
+                told = milp.support(loop, F, V, formulation=formulation, known=known)
+                assert (told.bound <= whole.bound).all()
+                np.testing.assert_allclose(told.bound, fresh.bound, atol=1e-6)
+                assert (told.bound >= exact.support(loop, F, V).value - 1e-9).all()
     with pytest.raises(ValueError, match=r"known has shape \(2,\), but V has 6 rows"):
         milp.support(loop, X, V, known=[1.0, 2.0])
+    with pytest.raises(ValueError, match="known is an answer for another number of steps than 2"):
+        milp.support(loop, X, V, steps=2, known=whole)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_boxes_of_larger_sets_hold_all_that_starts_in_smaller_ones(seed):
+    """From set to set of a random shrinking sequence: the boxes cover F, and their bounds hold for sampled images."""
+    rng, loop, V = np.random.default_rng(seed), random_loop(seed, cuts=3, with_input=seed % 2 == 0), directions(6)
+    F, known = loop.system.state_set, None
+    for _ in range(5):
+        known = milp.support(loop, F, V, known=known)
+        truth = exact.support(loop, F, V).value
+        assert (known.bound >= truth).all() and (known.bound <= truth + 1e-6).all()
+        for x in F.sample(rng, 40):
+            held = ((known.boxes.lower <= x) & (x <= known.boxes.upper)).all(axis=1)
+            reached = exact.support(loop, Polytope.box(x, x), V).value
+            assert held.any() and (known.upper[held].max(axis=0) >= reached).all()
+        F = F & Polytope(rng.normal(size=(2, 2)), rng.uniform(0.3, 1.0, 2))
 
 
 @pytest.mark.parametrize("seed", [1, 4, 6])

@@ -46,6 +46,12 @@ class Boxes:
         upper[rows, axis] = where + overlap * (1 + np.abs(where))
         return Boxes(np.concatenate([self.lower, lower]), np.concatenate([upper, self.upper]))
 
+    def within(self, box):
+        """The parts of the boxes in the first of other Boxes, and the indices of those that reach into it."""
+        lower, upper = np.maximum(self.lower, box.lower[0]), np.minimum(self.upper, box.upper[0])
+        chosen = np.flatnonzero((lower <= upper).all(axis=1))
+        return Boxes(lower[chosen], upper[chosen]), chosen
+
     def meets(self, P):
         """Whether no single row of the Polytope P separates it from the box, by the first n coordinates: (B,)."""
         n = P.dimension

@@ -67,9 +67,13 @@ class Affine:
     @staticmethod
     def join(parts):
         """All functions of all parts."""
-        N = max(part.matrix.shape[1] for part in parts)
-        padded = [np.pad(part.matrix, ((0, 0), (0, N - part.matrix.shape[1]))) for part in parts]
-        return Affine(np.vstack(padded), np.concatenate([part.constant for part in parts]))
+        constant, row = np.concatenate([part.constant for part in parts]), 0
+        matrix = np.zeros((len(constant), max(part.matrix.shape[1] for part in parts)))
+        for part in parts:
+            rows, columns = part.matrix.shape
+            matrix[row : row + rows, :columns] = part.matrix
+            row += rows
+        return Affine(matrix, constant)
 
     def map(self, weight, bias):
         """weight (...) + bias."""

@@ -6,9 +6,11 @@ of the state space: affine bounds (`boxes`) settle most of them, and what is lef
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import product
+from os import cpu_count
+from threading import Lock
 from time import perf_counter
 
 import numpy as np
@@ -52,7 +54,7 @@ def support(
     known=None,
     time_limit=None,
     gap=GAP,
-    jobs=1,
+    jobs=None,
 ):
     """h of R_k(F) along the rows of V by the MILP of Lemma 2, for any k, n and m.
 
@@ -75,23 +77,25 @@ def support(
     cutoff : array (k,) or None
         Where only "is h at most this?" is asked: what is shown to lie below is not looked at further, so that `bound`
         may then be anything between h and the cutoff. It is not used by "whole" and "paper".
-    known : array (k,) or None
-        Bounds on h that hold already, such as those of a larger set: where simulation attains them, nothing is solved.
+    known : Support, array (k,) or None
+        The answer for a larger set, and the same V and steps, or its bounds alone: they hold here, and where simulation
+        attains them, nothing is solved. Of an answer by "split" the boxes and their bounds are taken on as well.
     time_limit : float or None
         Seconds for each direction.
     gap : float
         Relative gap between bound and value at which the solver may stop. HiGHS's own default of 1e-4
         would be far too loose for sets that are compared with each other.
-    jobs : int
-        Threads, among which the directions are shared out; the answer does not depend on it. Only HiGHS runs beside
-        other threads: for one step of the case studies over X that is a quarter of the time (the rest are bounds and
-        the building of models), so that two threads save an eighth at most; for several steps it is nearly all.
+    jobs : int or None
+        Threads, among which the directions are shared out; the answer does not depend on it. None is one a core. Only
+        HiGHS runs beside other threads: for one step of the case studies that is a quarter to a half of the time (the
+        rest are bounds and the building of models), for several steps it is nearly all.
 
     Returns
     -------
     Support
         `bound` is HiGHS's dual bound plus its tolerance, or the bound from boxes where no model is needed; `value`
-        what the witness attains when it is replayed on the loop (constraints hold to HiGHS's tolerance of 1e-9).
+        what the witness attains when it is replayed on the loop (constraints hold to HiGHS's tolerance of 1e-9). By
+        "split" it is a `BoxSupport`, which helps as `known` for a smaller set.
 
     Raises
     ------
@@ -111,21 +115,29 @@ def support(
     if bounds not in METHODS:
         raise ValueError(f"bounds must be one of {METHODS}; got {bounds!r}")
     time_limit = None if time_limit is None else positive_number(time_limit, "time_limit")
+    before = known if isinstance(known, BoxSupport) else None
+    known = known.bound if isinstance(known, Support) else known
     cutoff, known = _one_a_row(cutoff, "cutoff", V, -np.inf), _one_a_row(known, "known", V, np.inf)
-    jobs = whole_number(jobs, "jobs", 1)
+    jobs = cpu_count() or 1 if jobs is None else whole_number(jobs, "jobs", 1)
     X = loop.system.state_set
     start = F & X
     if start.is_empty:
         return empty_support(len(V))
     check_inputs(loop, start if steps == 1 else X, bounds)
+    if before is not None and before.boxes.lower.shape[1] != V.shape[1] * steps:
+        raise ValueError(f"known is an answer for another number of steps than {steps}")
     ask = _Ask(loop, start, V, steps, bounds, gap, time_limit, known)
-    answers = _split(ask, cutoff, jobs) if formulation == "split" else _at_once(ask, formulation, jobs)
+    if formulation == "split":
+        answers, covering = _split(ask, cutoff, jobs, before)
+    else:
+        answers, covering = _at_once(ask, formulation, jobs), None
     value, bound = (np.array([getattr(answer, name) for answer in answers]) for name in ("value", "bound"))
     witness = tuple(answer.witness(loop) for answer in answers)
     if (bound == -np.inf).any() and all(one is None for one in witness):
         return empty_support(len(V))
     _require_consistent(V, bound, witness)
-    found = Support(value, np.maximum(bound, value), witness)
+    found = value, np.maximum(bound, value), witness
+    found = Support(*found) if covering is None else BoxSupport(*found, *covering)
     if not all(answer.finished for answer in answers):
         raise SolverStopped(f"HiGHS was stopped by time_limit = {time_limit} s; allow more time", found)
     return found
@@ -137,6 +149,22 @@ def _one_a_row(values, name, V, missing):
     if values.shape != (len(V),):
         raise ValueError(f"{name} has shape {values.shape}, but V has {len(V)} rows; give one number each")
     return values
+
+
+@dataclass(frozen=True, eq=False)
+class BoxSupport(Support):
+    """A Support and the boxes from which it comes.
+
+    Attributes
+    ----------
+    boxes : Boxes
+        Of (x(0), d(0), ..., d(k - 2)); together they hold all that can start in F and stay in X.
+    upper : array (B, k)
+        v x(k) is at most this from each box.
+    """
+
+    boxes: Boxes
+    upper: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,14 +239,20 @@ def _above(value, gap=0.0):
 # -- branch and bound over boxes ----------------------------------------------------------------------
 
 
-def _split(ask, cutoff, jobs):
-    """An _Answer for each direction."""
+def _split(ask, cutoff, jobs, before=None):
+    """An _Answer for each direction, and what a BoxSupport adds to them: (boxes, upper).
+
+    It begins with the boxes of `before`, the BoxSupport of a larger set, as far as they reach into the box of F.
+    """
     answers, begin = [_Answer(v) for v in ask.V], perf_counter()
     simulation = _Simulation(ask, answers)
     simulation.improve()
     k, budget = len(ask.V), np.inf if ask.time_limit is None else ask.time_limit * len(ask.V)
     boxes = root_box(ask.loop, ask.F, ask.steps)
-    upper, settled, looked, left = ask.known[None].copy(), np.full(k, -np.inf), 0, []
+    upper, settled, looked, left, done = ask.known[None].copy(), np.full(k, -np.inf), 0, [], []
+    if before is not None:
+        boxes, chosen = before.boxes.within(boxes)
+        upper = np.minimum(before.upper[chosen], upper)
     while len(boxes):
         now, later = np.arange(len(boxes)) < AT_ONCE, np.arange(len(boxes)) >= AT_ONCE
         waiting, waiting_upper = boxes.take(later), upper[later]
@@ -232,30 +266,36 @@ def _split(ask, cutoff, jobs):
         still = upper > ask.enough(value, cutoff)
         settled = np.maximum(settled, np.where(still, -np.inf, upper).max(axis=0, initial=-np.inf))
         binaries, keep = found.binaries, still.any(axis=1)
+        below = ~keep & np.isfinite(upper).any(axis=1)
+        done.append((boxes.take(below), upper[below]))
         wide = boxes.reach > NARROW * (1 + boxes.size)
         stop = looked > MOST_BOXES / ask.steps**4 or perf_counter() - begin > budget
         leaf = keep & (stop | (binaries <= FEW * ask.steps) | ~wide.any(axis=1))
-        left.append((boxes.take(leaf), np.where(still, upper, -np.inf)[leaf]))
+        left.append((boxes.take(leaf), upper[leaf]))
         on = keep & ~leaf
         halves = boxes.take(on).split(np.where(wide, found.doubt, -1)[on].argmax(axis=1), SAFETY)
         boxes = Boxes(np.concatenate([waiting.lower, halves.lower]), np.concatenate([waiting.upper, halves.upper]))
         upper = np.concatenate([waiting_upper, upper[on], upper[on]])
-    boxes = Boxes(*(np.concatenate([getattr(part, end) for part, _ in left]) for end in ("lower", "upper")))
-    upper = np.concatenate([part for _, part in left])
+    boxes, upper = _joined(left)
     value = np.array([answer.value for answer in answers])
     keep = (upper > ask.enough(value, cutoff)).any(axis=1)
     settled = np.maximum(settled, upper[~keep].max(axis=0, initial=-np.inf))
     many = 1 if looked > MOST_BOXES / ask.steps**4 else max(1, MANY // ask.steps**2)
     leaves = _Leaves(ask, boxes.take(keep), upper[keep], many)
 
-    def settle(rows):
-        models = {}
-        for row in rows:
-            answers[row].bound = settled[row]
-            leaves.settle(row, answers[row], cutoff[row], models)
+    def settle(row):
+        answers[row].bound = settled[row]
+        leaves.settle(row, answers[row], cutoff[row])
 
     _share(settle, k, jobs)
-    return answers
+    return answers, _joined([(boxes, upper), *done])
+
+
+def _joined(parts):
+    """Boxes and their bounds (B, k) from several pairs of both."""
+    boxes, upper = zip(*parts)
+    lower, higher = (np.concatenate([getattr(part, end) for part in boxes]) for end in ("lower", "upper"))
+    return Boxes(lower, higher), np.concatenate(upper)
 
 
 class _Leaves:
@@ -264,20 +304,24 @@ class _Leaves:
     def __init__(self, ask, boxes, upper, many):
         self.ask, self.boxes, self.upper, self.many = ask, boxes, upper, many
         self.found = bound_loop(ask.loop, boxes, ask.steps)
-        self.binaries = self.found.binaries
+        self.simple = self.found.binaries <= FEW * ask.steps
+        self.models = {}
 
-    def model(self, index, bounds=None):
+    def model(self, index, bounds):
         """The model on one box, of all of F for None; None if there is nothing. `bounds` as in `support`."""
         if index is None:
             box = root_box(self.ask.loop, self.ask.F, self.ask.steps)
-            return self.ask.model(self.ask.bounds, box, bound_loop(self.ask.loop, box, self.ask.steps).at(0))
-        if bounds is None:
-            bounds = "interval" if self.binaries[index] <= FEW * self.ask.steps else self.ask.bounds
+            return self.ask.model(bounds, box, bound_loop(self.ask.loop, box, self.ask.steps).at(0))
         return self.ask.model(bounds, self.boxes.take([index]), self.found.at(index))
 
-    def settle(self, row, answer, cutoff, models):
+    def solve(self, index, bounds, answer, time_limit):
+        """The bound on one box along the answer's direction."""
+        shared = self.models.setdefault((index, bounds), _Shared(partial(self.model, index, bounds)))
+        return shared.solve(self.ask, answer, time_limit)
+
+    def settle(self, row, answer, cutoff):
         """Solve on one box after another, the most promising first, until the others cannot be better."""
-        begin, upper = perf_counter(), self.upper[:, row]
+        begin, upper, careful = perf_counter(), self.upper[:, row], self.ask.bounds
         for count, index in enumerate(np.argsort(-upper, kind="stable")):
             if upper[index] <= self.ask.enough(answer.value, cutoff):
                 answer.bound = max(answer.bound, upper[index])
@@ -286,18 +330,35 @@ class _Leaves:
             if remaining is not None and remaining <= 0:
                 answer.finished, answer.bound = False, max(answer.bound, upper[index])
                 break
-            chosen = index if count < self.many else None
-            if chosen not in models:
-                models[chosen] = self.model(chosen)
-            if models[chosen] is not None:
-                bound = min(_ask_solver(self.ask, models[chosen], answer, remaining), upper[index])
-                if chosen is not None and answer.finished and bound > answer.value + LOOSE * (1 + abs(bound)):
-                    models[chosen] = self.model(chosen, self.ask.bounds)  # a smaller big-M amplifies tolerances less
-                    if models[chosen] is not None:
-                        bound = min(bound, _ask_solver(self.ask, models[chosen], answer, remaining))
-                answer.bound = max(answer.bound, bound)
-            if chosen is None:
+            if count == self.many:
+                answer.bound = max(answer.bound, min(self.solve(None, careful, answer, remaining), upper[index]))
                 break
+            quick = "interval" if self.simple[index] else careful
+            bound = min(self.solve(index, quick, answer, remaining), upper[index])
+            if answer.finished and bound > answer.value + LOOSE * (1 + abs(bound)) and quick != careful:
+                bound = min(bound, self.solve(index, careful, answer, remaining))  # smaller big-M
+            answer.bound = max(answer.bound, bound)
+
+
+class _Shared:
+    """A model that is built when it is first asked for; each thread asks a copy of its own."""
+
+    def __init__(self, build):
+        self._build, self._building, self._idle = build, Lock(), []
+
+    def solve(self, ask, answer, time_limit):
+        """The bound along the answer's direction; -inf if there is no model."""
+        with self._building:
+            if self._model is None:
+                return -np.inf
+            model = self._idle.pop() if self._idle else replace(self._model, program=self._model.program.copy())
+        bound = _ask_solver(ask, model, answer, time_limit)
+        self._idle.append(model)
+        return bound
+
+    @cached_property
+    def _model(self):
+        return self._build()
 
 
 class _Simulation:
@@ -388,12 +449,10 @@ def _extreme_points(P, V):
 def _at_once(ask, formulation, jobs):
     """An _Answer for each direction, from one model of all of F."""
     answers = [_Answer(v) for v in ask.V]
+    model = _Shared(partial(build, ask.loop, ask.F, ask.steps, ask.bounds, formulation))
 
-    def settle(rows):
-        model = build(ask.loop, ask.F, ask.steps, ask.bounds, formulation)
-        if model is not None:
-            for row in rows:
-                answers[row].bound = min(_ask_solver(ask, model, answers[row], ask.time_limit), ask.known[row])
+    def settle(row):
+        answers[row].bound = min(model.solve(ask, answers[row], ask.time_limit), ask.known[row])
 
     _share(settle, len(answers), jobs)
     return answers
@@ -423,12 +482,13 @@ def _solve(model, v, time_limit, gap):
 
 
 def _share(work, count, jobs):
-    """work(rows) with the rows 0, ..., count - 1 dealt out to `jobs` threads."""
-    if jobs == 1:
-        work(range(count))
+    """work(row) for the rows 0, ..., count - 1, by `jobs` threads."""
+    if min(jobs, count) <= 1:
+        for row in range(count):
+            work(row)
         return
-    with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(work, [range(first, count, jobs) for first in range(min(jobs, count))]))
+    with ThreadPoolExecutor(min(jobs, count)) as pool:
+        list(pool.map(work, range(count)))
 
 
 # -- checks -------------------------------------------------------------------------------------------
@@ -443,7 +503,7 @@ def check_inputs(loop, start, bounds="lp"):
     if not open_rows.any():
         return
     ask = _Ask(loop, start, U.H[open_rows], 1, bounds, GAP, None, np.full(len(open_rows), np.inf), inputs=True)
-    for answer, most in zip(_split(ask, (U.h + tol)[open_rows], 1), tol[open_rows]):
+    for answer, most in zip(_split(ask, (U.h + tol)[open_rows], 1)[0], tol[open_rows]):
         if answer.path is not None:
             require_inputs(loop.network, U, answer.path[0][None], tol=most)
 
