@@ -9,8 +9,8 @@ from mireach import Polytope, SolverError, box_directions, directions
 from mireach.engines import cells, exact, milp
 
 CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1
-RESOLVED = 1e-6  # what bounds of the MILP may differ from it
-ROUNDED = 1e-9  # by which the images of samples may pass a bound: the samples themselves are rounded
+RESOLVED = 1e-6  # what bounds of the MILP may lie above it
+ROUNDED = 1e-12  # by which the images of samples may pass a bound, for the samples themselves are rounded
 TOUCHING = {"cells": 1e-10, "milp": 1e-7, "samples": 1e-12}  # sets that come this close may count as touching
 SAMPLES = 20
 
@@ -82,7 +82,7 @@ def disagreements(seed, milp_sets=2):
     """What is wrong with the answers about one random loop: list of str, and a Counter of the questions asked.
 
     For every set F and direction v, with h = h of R_1(F) along v by the exact engine: no sampled image passes a bound;
-    h <= bound of the float cells <= h + CLOSE; |bound of the MILP - h| <= RESOLVED. Where F touches a boundary of
+    h <= bound of the float cells <= h + CLOSE; h <= bound of the MILP <= h + RESOLVED. Where F touches a boundary of
     regions, whatever has tolerances may count what exact arithmetic finds apart by rounding, and a MILP solver
     moves the tip of a needle: there the upper limit is taken from F widened by TOUCHING.
     """
@@ -93,20 +93,20 @@ def disagreements(seed, milp_sets=2):
     for_milp = set(rng.choice(len(sets), milp_sets, replace=False).tolist())
     for number, (kind, F) in enumerate(sets):
         h = exact.support(loop, F, V).bound
-        bounds = {"exact": (h, 0.0, 0.0), "cells": (cells.support(loop, F, V).bound, 0.0, CLOSE)}
+        bounds = {"exact": (h, 0.0), "cells": (cells.support(loop, F, V).bound, CLOSE)}
         if number in for_milp:
             try:
-                bounds["milp"] = (milp.support(loop, F, V).bound, ROUNDED, RESOLVED)
+                bounds["milp"] = (milp.support(loop, F, V).bound, RESOLVED)
             except SolverError:
                 asked["milp without an answer"] += len(V)
         at = {who: exact.support(loop, widened(F, by), V).bound for who, by in TOUCHING.items()}
         images = random_images(loop, F, rng, SAMPLES) @ V.T
         asked["sampled images"] += len(images)
-        for engine, (bound, below, above) in bounds.items():
+        for engine, (bound, above) in bounds.items():
             asked[engine] += len(V)
             tolerant = kind.startswith("at") or (kind == "needle" and engine == "milp")
             limit = at.get(engine, h) if tolerant else h
-            for k in np.flatnonzero((bound < h - below * length) | (bound > limit + above * length)):
+            for k in np.flatnonzero((bound < h) | (bound > limit + above * length)):
                 found.append(f"seed {seed}, {kind}, direction {k}: {engine} {bound[k]!r}, exact {h[k]!r}")
             reached = np.maximum(bound, at["samples"]) if kind.startswith("at") else bound
             for k in np.flatnonzero((images > reached + ROUNDED * length * max(1, size)).any(axis=0)):
