@@ -39,6 +39,7 @@ NARROW = 1e-4  # a box is not split along a side shorter than this (relative to 
 MOST_BOXES = 20_000  # looked at for one set, divided by k^4; then one model of all of F settles the rest
 AT_ONCE = 1024  # boxes that are bounded together: what they hold in memory
 ROUNDS = 12  # of states ever closer to the best ones
+FITTING = 0.7  # boxes of a larger set serve as long as the box around it is not larger than this one by more
 SAMPLES = 200  # states from which the first attained values come
 
 
@@ -161,10 +162,13 @@ class BoxSupport(Support):
         Of (x(0), d(0), ..., d(k - 2)); together they hold all that can start in F and stay in X.
     upper : array (B, k)
         v x(k) is at most this from each box.
+    root : Boxes
+        The one box that was halved.
     """
 
     boxes: Boxes
     upper: np.ndarray
+    root: Boxes
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,19 +244,19 @@ def _above(value, gap=0.0):
 
 
 def _split(ask, cutoff, jobs, before=None):
-    """An _Answer for each direction, and what a BoxSupport adds to them: (boxes, upper).
+    """An _Answer for each direction, and what a BoxSupport adds to them: (boxes, upper, root).
 
-    It begins with the boxes of `before`, the BoxSupport of a larger set, as far as they reach into the box of F.
+    It begins with the boxes of `before`, the BoxSupport of a larger set, where that is not much larger than F.
     """
     answers, begin = [_Answer(v) for v in ask.V], perf_counter()
     simulation = _Simulation(ask, answers)
     simulation.improve()
     k, budget = len(ask.V), np.inf if ask.time_limit is None else ask.time_limit * len(ask.V)
-    boxes = root_box(ask.loop, ask.F, ask.steps)
+    root = boxes = root_box(ask.loop, ask.F, ask.steps)
     upper, settled, looked, left, done = ask.known[None].copy(), np.full(k, -np.inf), 0, [], []
-    if before is not None:
-        boxes, chosen = before.boxes.within(boxes)
-        upper = np.minimum(before.upper[chosen], upper)
+    if before is not None and (root.reach / before.root.reach).prod() > FITTING:
+        boxes, chosen = before.boxes.within(root)
+        upper, root = np.minimum(before.upper[chosen], upper), before.root
     while len(boxes):
         now, later = np.arange(len(boxes)) < AT_ONCE, np.arange(len(boxes)) >= AT_ONCE
         waiting, waiting_upper = boxes.take(later), upper[later]
@@ -288,7 +292,7 @@ def _split(ask, cutoff, jobs, before=None):
         leaves.settle(row, answers[row], cutoff[row])
 
     _share(settle, k, jobs)
-    return answers, _joined([(boxes, upper), *done])
+    return answers, (*_joined([(boxes, upper), *done]), root)
 
 
 def _joined(parts):
