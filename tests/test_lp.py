@@ -1,5 +1,7 @@
 """The warm-started linear program against scipy."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import highspy
 import numpy as np
 import pytest
@@ -50,3 +52,15 @@ def test_solver_without_an_answer_is_an_error_and_not_a_number():
     with pytest.raises(SolverError, match="HiGHS ended"):
         lp.maximize(x, [1, 2, 3])
     assert highspy.HighsModelStatus.kIterationLimit == lp.highs.getModelStatus()
+
+
+def test_threads_may_ask_the_same_program():
+    rng = np.random.default_rng(0)
+    lp = LinearProgram()
+    x = lp.add_columns(-np.ones(6), np.ones(6))
+    lp.add_rows(x, rng.normal(size=(40, 6)), upper=rng.uniform(0, 2, 40))
+    V = rng.normal(size=(200, 6))
+    alone = [lp.maximize(x, v).value for v in V]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda v: lp.maximize(x, v).value, V))
+    np.testing.assert_allclose(together, alone, atol=1e-9)

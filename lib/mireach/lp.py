@@ -1,6 +1,8 @@
 """A linear program that is built row by row and asked for many objectives (HiGHS, warm-started)."""
 
 from dataclasses import dataclass
+from functools import wraps
+from threading import Lock
 
 import highspy
 import numpy as np
@@ -55,8 +57,21 @@ class IntegerOptimum:
     finished: bool
 
 
+def _alone(method):
+    """Let one thread at a time into a method of a LinearProgram."""
+
+    @wraps(method)
+    def alone(self, *arguments, **options):
+        with self._asked:
+            return method(self, *arguments, **options)
+
+    return alone
+
+
 class LinearProgram:
     """max c x subject to lower <= A x <= upper and bounds on x, for one c after another.
+
+    Threads that ask the same program wait for each other.
 
     Attributes
     ----------
@@ -84,8 +99,9 @@ class LinearProgram:
             self.highs.setOptionValue(name, setting)
         self.highs.changeObjectiveSense(highspy.ObjSense.kMaximize)
         self.lower, self.upper, self.binaries = np.zeros(0), np.zeros(0), []
-        self._costed, self._declared = np.zeros(0, dtype=np.int32), 0
+        self._costed, self._declared, self._asked = np.zeros(0, dtype=np.int32), 0, Lock()
 
+    @_alone
     def copy(self):
         """A program of its own with the same constraints, binaries and objective."""
         other = LinearProgram()
@@ -126,6 +142,7 @@ class LinearProgram:
         for row, low, high in zip(matrix, lower, upper):
             self.add_row(columns, row, low, high)
 
+    @_alone
     def maximize(self, columns, coefficients):
         """max coefficients x[columns] over the constraints so far.
 
@@ -159,6 +176,7 @@ class LinearProgram:
             return Optimum(0.0, np.zeros(0))
         raise SolverError(f"HiGHS ended a linear program with {self.highs.modelStatusToString(status)}")
 
+    @_alone
     def maximize_integer(self, columns, coefficients, *, gap=GAP, nodes=None, time_limit=None):
         """max coefficients x[columns] over the constraints so far, the `binaries` being 0 or 1.
 

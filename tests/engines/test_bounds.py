@@ -122,10 +122,13 @@ def test_formulations_agree_with_the_exact_cells(options):
             np.testing.assert_allclose(found.value, truth, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_threads_change_no_number(seed):
-    loop = random_loop(seed, cuts=3, with_input=True, width=4, pool=3)
-    one, two = (milp.support(loop, loop.system.state_set, directions(8), jobs=jobs) for jobs in (1, 2))
+@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize("formulation", ["split", "whole"])
+@pytest.mark.parametrize("seed", range(4))
+def test_threads_change_no_number(seed, formulation, n):
+    loop = random_loop(seed, n=n, cuts=3, with_input=True, width=4, pool=3)
+    X, V = loop.system.state_set, np.random.default_rng(seed).normal(size=(8, n))
+    one, two = (milp.support(loop, X, V, jobs=jobs, formulation=formulation) for jobs in (1, 3))
     assert (one.bound == two.bound).all() and (one.value == two.value).all()
 
 
