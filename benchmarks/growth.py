@@ -11,6 +11,7 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
+import memory
 import numpy as np
 from matplotlib.figure import Figure
 from peers import MARK
@@ -125,12 +126,9 @@ def wide():
     work = f"a random ReLU network 3 x 64, 9 modes, {len(cells.cells(loop))} cells"
     report(f"{work}: building them", "2 s", f"{build:.2f} s", build <= 2)
     report("the same: one step, 8 directions over X", "10 ms", f"{step * 1e3:.2f} ms", step <= 0.01)
-    try:
-        import resource
-    except ImportError:  # Windows has no such accounting
-        return
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    report("the same: peak memory of the process", "1 GB", f"{peak:.0f} MiB", peak <= 1000)
+    needed = memory.peak()
+    if needed is not None:
+        report("the same: peak memory of the process", "1 GB", f"{needed:.0f} MiB", needed <= 1000)
 
 
 def report(work, limit, here, holds):

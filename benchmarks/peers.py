@@ -61,7 +61,10 @@ def main(arguments=None):
 def figure(ratios, work, case, key, least):
     """One row of the table of what was aimed at."""
     here = ratios[case].get(key)
-    found = ("-", "not measured") if here is None else (f"{here:.3g} times", "yes" if here >= least else "NO")
+    if here is None:
+        found = "-", "not measured"
+    else:
+        found = f"{here:,.0f} times" if here >= 1000 else f"{here:.3g} times", "yes" if here >= least else "NO"
     return [work, key.removeprefix("cells: "), f"{least:g} times", *found]
 
 

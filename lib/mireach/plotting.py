@@ -280,7 +280,7 @@ def plot_growth(axes, networks, steps):
     third.set(xlabel="steps $k$", ylabel="seconds of one direction")
     third.xaxis.set_major_locator(MaxNLocator(integer=True))
     for ax in axes:
-        ax.legend(fontsize="x-small")
+        ax.legend(fontsize="x-small", handlelength=3 if ax is third else None)  # long enough to show dashes
 
 
 def plot_history(axes, history, chosen=None, name=r"\mathcal{F}"):
