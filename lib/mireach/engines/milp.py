@@ -94,9 +94,10 @@ def support(
     Returns
     -------
     Support
-        `bound` is HiGHS's dual bound plus its tolerance, or the bound from boxes where no model is needed; `value`
-        what the witness attains when it is replayed on the loop (constraints hold to HiGHS's tolerance of 1e-9). By
-        "split" it is a `BoxSupport`, which helps as `known` for a smaller set.
+        `bound` is HiGHS's dual bound plus its tolerance (the larger one of two, see `LinearProgram.maximize_integer`),
+        or the bound from boxes where no model is needed; `value` what the witness attains when it is replayed on the
+        loop (constraints hold to HiGHS's tolerance of 1e-9). By "split" it is a `BoxSupport`, which helps as `known`
+        for a smaller set.
 
     Raises
     ------
