@@ -8,7 +8,7 @@ import pytest
 from loops import largest
 
 from mireach.errors import SolverError
-from mireach.lp import LinearProgram
+from mireach.lp import IntegerOptimum, LinearProgram
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -64,3 +64,22 @@ def test_threads_may_ask_the_same_program():
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda v: lp.maximize(x, v).value, V))
     np.testing.assert_allclose(together, alone, atol=1e-9)
+
+
+@pytest.mark.parametrize("without", ["infeasible", "unclear"])
+def test_no_point_has_to_be_found_in_both_ways(monkeypatch, without):
+    lp = LinearProgram()
+    x = lp.add_columns([0, 0], [1, 1])
+    lp.binaries.append(int(x[0]))
+    nothing = (IntegerOptimum(-np.inf, None, True), highspy.HighsModelStatus.kInfeasible)
+    unclear = (None, highspy.HighsModelStatus.kUnknown)
+    answers = {True: nothing, False: nothing if without == "infeasible" else unclear}
+    monkeypatch.setattr(lp, "_search", lambda presolve, time_limit: answers[presolve])
+    if without == "infeasible":
+        assert lp.maximize_integer(x, [1, 1]).bound == -np.inf
+    else:
+        with pytest.raises(SolverError, match="HiGHS ended the MILP with Unknown"):
+            lp.maximize_integer(x, [1, 1])
+    found = (IntegerOptimum(1.5, None, True), highspy.HighsModelStatus.kOptimal)
+    answers[False] = found
+    assert lp.maximize_integer(x, [1, 1]).bound == 1.5  # the larger bound counts

@@ -218,13 +218,15 @@ class LinearProgram:
         self.highs.setOptionValue("presolve", "off")
         self.highs.setOptionValue("time_limit", np.inf)
         answers = [optimum for optimum, _ in found if optimum is not None]
-        if not answers:
-            raise SolverError(f"HiGHS ended the MILP with {self.highs.modelStatusToString(found[-1][1])}")
+        bound = max((one.bound for one in answers), default=-np.inf)
+        unclear = [status for optimum, status in found if optimum is None]
+        if unclear and bound == -np.inf:  # that there is no point has to hold in both ways
+            raise SolverError(f"HiGHS ended the MILP with {self.highs.modelStatusToString(unclear[0])}")
         objective = np.zeros(len(self.lower))
         objective[columns] = coefficients
         points = [optimum.point for optimum in answers if optimum.point is not None]
         best = max(points, key=lambda point: objective @ point, default=None)
-        return IntegerOptimum(max(one.bound for one in answers), best, all(one.finished for one in answers))
+        return IntegerOptimum(bound, best, all(one.finished for one in answers))
 
     def _search(self, presolve, time_limit):
         """Let HiGHS solve the MILP in one of its ways: IntegerOptimum, None if it ends without one; and its status."""
