@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ("torch", "casadi", "cvxpy", "daqp", "joblib", "dask", "matplotlib", "pyscipopt")
+HEAVY = ("torch", "casadi", "cvxpy", "daqp", "joblib", "dask", "matplotlib", "cvxopt")
 
 
 def test_installed_package_carries_its_data_and_needs_no_heavy_parts(tmp_path):

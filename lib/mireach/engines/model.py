@@ -19,7 +19,7 @@ ZERO_GAP = {
         "mip_abs_gap": 1e-9,
         "mip_feasibility_tolerance": 1e-8,  # with 1e-9, HiGHS 1.15 has been seen to cut off optimal points
         "primal_feasibility_tolerance": 1e-9,
-        "presolve": "off",  # it has been seen to lose the optimum, see `lp.LinearProgram.maximize_integer`
+        "presolve": "off",  # the optimum is lost less often, see `lp.LinearProgram.maximize_integer`
     },
     "SCIP": {"scip_params": {"limits/gap": 1e-9, "numerics/feastol": 1e-9}},
     "GUROBI": {"MIPGap": 1e-9, "FeasibilityTol": 1e-9, "IntFeasTol": 1e-9},
