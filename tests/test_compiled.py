@@ -100,7 +100,7 @@ def test_highest_point_of_cut_polygons(seed):
     shape = (polygons.points, polygons.starts, *polygons.discs, mode)
     tops = heights + error @ np.abs(V).T
     rows = (readonly(H), readonly(h), np.full(6, -1), 0.0, TOL)
-    value, top, owner = highest(*shape, *rows, M, c, error, spread, heights, tops, V)
+    value, top, owner, left = highest(*shape, *rows, M, c, error, spread, heights, tops, V, np.arange(count))
     wanted = np.full((count, 5), -np.inf)
     for j, hull in enumerate(hulls):
         for k, v in enumerate(V):  # x = hull' w with weights w >= 0 that add up to 1
@@ -114,6 +114,12 @@ def test_highest_point_of_cut_polygons(seed):
     if np.isfinite(value).all():
         np.testing.assert_allclose(with_error[owner, range(5)], top, atol=1e-8)
         np.testing.assert_allclose(wanted[owner, range(5)], value, atol=1e-8)
+    assert set(np.flatnonzero(np.isfinite(wanted).any(axis=1))) <= set(left)
+    again = highest(*shape, *rows, M, c, error, spread, heights, tops, V, left)
+    assert all((one == other).all() for one, other in zip(again, (value, top, owner, left)))
+    some = np.flatnonzero(rng.random(count) < 0.5)
+    top = highest(*shape, *rows, M, c, error, spread, heights, tops, V, some)[1]
+    np.testing.assert_allclose(top, with_error[some].max(axis=0, initial=-np.inf), atol=1e-8)
 
 
 def test_every_pair_of_rows_may_make_a_vertex():
@@ -141,7 +147,7 @@ def test_a_tip_that_only_touches_counts():
     shape = (polygons.points, polygons.starts, *polygons.discs, np.zeros(2, int))
     beyond = (readonly([[-1.0, 0]]), readonly([-2.0]), np.array([-1]), 0.0, TOL)  # x1 >= 2
     maps, whole = (np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)), np.zeros((2, 2))), np.full((2, 2), 9.0)
-    value, top, _ = highest(*shape, *beyond, *maps, np.zeros((1, 2)), whole, whole, np.eye(2))
+    value, top, *_ = highest(*shape, *beyond, *maps, np.zeros((1, 2)), whole, whole, np.eye(2), np.arange(2))
     np.testing.assert_allclose(value, [2, 1])
     np.testing.assert_allclose(top, [2, 1])
     points, starts, owner = parts(*shape, *beyond)

@@ -529,7 +529,9 @@ def parts(points, starts, centres, radii, mode, H, h, only, slack, touch):
 
 
 @njit(cache=True)
-def highest(points, starts, centres, radii, mode, H, h, only, slack, touch, M, c, error, spread, heights, tops, V):
+def highest(
+    points, starts, centres, radii, mode, H, h, only, slack, touch, M, c, error, spread, heights, tops, V, chosen
+):
     """max v (M_j x + c_j) + h of D over the parts of N convex polygons in {x : H x <= h}.
 
     Parameters
@@ -556,6 +558,8 @@ def highest(points, starts, centres, radii, mode, H, h, only, slack, touch, M, c
     heights, tops : array (N, k)
         The maximum over each whole polygon, and with its error.
     V : array (k, 2)
+    chosen : array (p,) of int
+        The polygons to look at.
 
     Returns
     -------
@@ -565,13 +569,18 @@ def highest(points, starts, centres, radii, mode, H, h, only, slack, touch, M, c
         The largest value with the error of its polygon.
     owner : array (k,) of int
         The polygon that has it.
+    left : array (q,) of int
+        The chosen polygons without those that were found to miss the set.
     """
     directions = len(V)
     top, value, owner = np.full(directions, -np.inf), np.full(directions, -np.inf), np.zeros(directions, np.int64)
     H, h = _unit_rows(H, h)
     room = 2 * (_most(starts) + 2 * len(h))
     polygon, part, excess = np.empty((room, 2)), np.empty((room, 2)), np.empty(room)
-    for j in range(len(mode)):
+    left, count = np.empty(len(chosen), np.int64), 0
+    for i in range(len(chosen)):
+        j = left[count] = chosen[i]
+        count += 1
         for k in range(directions):
             if tops[j, k] > top[k]:
                 break
@@ -583,6 +592,8 @@ def highest(points, starts, centres, radii, mode, H, h, only, slack, touch, M, c
             for k in range(directions):
                 if tops[j, k] > top[k]:
                     top[k], value[k], owner[k] = tops[j, k], heights[j, k], j
+        elif side < 0:
+            count -= 1
         if side != 0:
             continue
         size = starts[j + 1] - starts[j]
@@ -596,4 +607,4 @@ def highest(points, starts, centres, radii, mode, H, h, only, slack, touch, M, c
                 above = reached + abs(V[k, 0]) * error[j, 0] + abs(V[k, 1]) * error[j, 1]
                 if above > top[k]:
                     top[k], value[k], owner[k] = above, reached, j
-    return value, top, owner
+    return value, top, owner, left[:count].copy()

@@ -516,8 +516,8 @@ def _tolerance(engine, tol):
 
 
 def _reused(engine, before):
-    """What the MILP is told: the support of the last, larger set, whose bounds and boxes still hold."""
-    return {"known": before} if engine == "milp" and before is not None else {}
+    """What an engine is told: the support of the last, larger set, whose bounds, boxes or cells still serve."""
+    return {"known": before} if engine in ("cells", "milp") and before is not None else {}
 
 
 def _require_own(excess, tol):

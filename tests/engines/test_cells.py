@@ -387,3 +387,22 @@ def test_ties_on_whole_edges_lose_nothing(seed):
 def test_narrow_spike_is_a_spike():
     net = narrow_spike().network
     assert net([[0.7123, 0], [0.0, 0], [0.72, 0]]).ravel() == pytest.approx([2, 0, 0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cells_that_a_set_misses_are_left_out_for_smaller_ones(seed):
+    loop, rng, known = random_loop(seed, cuts=2, width=4), np.random.default_rng(seed), None
+    H, other = directions(7), random_loop(seed + 50, cuts=2, width=4)
+    h, counts = Polytope.box([-3, -3], [3, 3]).support(H), []
+    for _ in range(12):
+        F = Polytope(H, h)
+        alone, helped = support(loop, F, V), support(loop, F, V, known=known)
+        np.testing.assert_array_equal(helped.bound, alone.bound)
+        np.testing.assert_array_equal(helped.value, alone.value)
+        np.testing.assert_array_equal(support(other, F, V, known=known).bound, support(other, F, V).bound)
+        known = helped
+        counts.append(len(known.left))
+        h = h * rng.uniform(0.6, 1, len(h))
+    assert counts == sorted(counts, reverse=True) and counts[-1] < counts[0]
+    larger = Polytope.box([-3, -3], [3, 3])
+    np.testing.assert_array_equal(support(loop, larger, V, known=known).bound, support(loop, larger, V).bound)

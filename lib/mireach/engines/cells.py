@@ -82,6 +82,11 @@ class Cells:
         return Cells(self.polygons.take(chosen), *(array[chosen] for array in per_cell), self.walls)
 
     @cached_property
+    def all(self):
+        """The indices of all cells: array (N,)."""
+        return np.arange(len(self))
+
+    @cached_property
     def size(self):
         """Largest coordinate, at least 1."""
         return _size(self.polygons.points)
@@ -110,6 +115,29 @@ class Cells:
     @cached_property
     def _most_cuts(self):
         return int(self.cuts.max(initial=0))
+
+
+@dataclass(frozen=True, eq=False)
+class CellSupport(Support):
+    """A Support and the cells that are worth a look for smaller sets.
+
+    Attributes
+    ----------
+    F : Polytope
+        Of which the reachable set was asked for.
+    cells : Cells
+    left : array (q,) of int
+        All of them but those that were found to miss F.
+    """
+
+    F: Polytope
+    cells: Cells
+    left: np.ndarray
+
+    def within(self, F, cells):
+        """Those of `cells` that a set F may meet: `left` if it lies in the one here, row by row, else all of them."""
+        smaller = self.cells is cells and np.array_equal(F.H, self.F.H) and (F.h <= self.F.h).all()
+        return self.left if smaller else cells.all
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +217,7 @@ def dynamics(loop):
     return replace(every, error=error, unit=_unit(size))
 
 
-def support(loop, F, V, steps=1):
+def support(loop, F, V, steps=1, *, known=None):
     """h of R_k(F) along the rows of V, by the vertices of the cells (Lemma 2 without its MILP).
 
     Parameters
@@ -202,10 +230,13 @@ def support(loop, F, V, steps=1):
     steps : int
         More than one step follows every piece of the reachable set through the cells, those apart that lie in
         another; their number grows with `steps`.
+    known : Support or None
+        The answer for a larger set with the same rows, for one step: cells that it found to miss that set are left out.
 
     Returns
     -------
     Support
+        For one step a `CellSupport`, which helps as `known`.
         `bound` is rounded up to a multiple of 1.5e-11 of the size of X and its image, of no more than 2.3e-10 up to a
         size of 4096 (times |v| for long rows), so that equal sets give equal numbers.
 
@@ -239,6 +270,7 @@ def support(loop, F, V, steps=1):
     """
     V, steps = checked_query(loop, F, V, steps)
     every = dynamics(loop)
+    chosen = known.within(F, every.cells) if steps == 1 and isinstance(known, CellSupport) else every.cells.all
     rows = _rows(loop, every, V.shape, V.tobytes())
     pieces = [(F, ())]
     for step in range(steps - 1):
@@ -250,16 +282,17 @@ def support(loop, F, V, steps=1):
             )
     if not pieces:
         return empty_support(len(V))
-    value, top, cell = _highest(every, pieces[0][0], rows)
+    value, top, cell, left = _highest(every, pieces[0][0], rows, chosen)
     end = np.zeros(len(V), int)
     for number, (piece, _) in enumerate(pieces[1:], start=1):
-        reached, above, where = _highest(every, piece, rows)
+        reached, above, where, _ = _highest(every, piece, rows, chosen)
         better = above > top
         value[better], top[better], end[better], cell[better] = reached[better], above[better], number, where[better]
     if not np.isfinite(value).all():
         return empty_support(len(V))
     witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
-    return Support(value, np.ceil(top / rows.unit + 0.05) * rows.unit, witness)
+    found = value, np.ceil(top / rows.unit + 0.05) * rows.unit, witness
+    return CellSupport(*found, F, every.cells, left) if steps == 1 else Support(*found)
 
 
 # -- building the cells -------------------------------------------------------------------------------
@@ -416,10 +449,13 @@ def _rows(loop, every, shape, content):
     return _Rows(V, heights, heights + every.error @ np.abs(V).T, spread, unit)
 
 
-def _highest(every, F, rows):
-    """max v x+ over the states of F, for the rows v of V, the same with its error, and the cell: (k,) each."""
+def _highest(every, F, rows, chosen):
+    """max v x+ over the states of F in chosen cells, the same with its error, and the cell; and the cells F may meet.
+
+    Arrays (k,) for the rows v of V, and (q,).
+    """
     asked = every.cells.question(F)
-    return highest(*asked, every.M, every.c, every.error, rows.spread, rows.heights, rows.tops, rows.V)
+    return highest(*asked, every.M, every.c, every.error, rows.spread, rows.heights, rows.tops, rows.V, chosen)
 
 
 def _blunted(F, walls, size, decimal=False):
