@@ -6,9 +6,10 @@ import highspy
 import numpy as np
 import pytest
 from loops import largest
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 from mireach.errors import SolverError
-from mireach.lp import IntegerOptimum, LinearProgram
+from mireach.lp import BRANCHED, IntegerOptimum, LinearProgram
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -69,17 +70,67 @@ def test_threads_may_ask_the_same_program():
 @pytest.mark.parametrize("without", ["infeasible", "unclear"])
 def test_no_point_has_to_be_found_in_both_ways(monkeypatch, without):
     lp = LinearProgram()
-    x = lp.add_columns([0, 0], [1, 1])
-    lp.binaries.append(int(x[0]))
+    x = lp.add_columns(np.zeros(BRANCHED + 1), 1)
+    lp.binaries += x.tolist()
     nothing = (IntegerOptimum(-np.inf, None, True), highspy.HighsModelStatus.kInfeasible)
     unclear = (None, highspy.HighsModelStatus.kUnknown)
     answers = {True: nothing, False: nothing if without == "infeasible" else unclear}
     monkeypatch.setattr(lp, "_search", lambda presolve, time_limit: answers[presolve])
     if without == "infeasible":
-        assert lp.maximize_integer(x, [1, 1]).bound == -np.inf
+        assert lp.maximize_integer(x, np.ones(len(x))).bound == -np.inf
     else:
         with pytest.raises(SolverError, match="HiGHS ended the MILP with Unknown"):
-            lp.maximize_integer(x, [1, 1])
+            lp.maximize_integer(x, np.ones(len(x)))
     found = (IntegerOptimum(1.5, None, True), highspy.HighsModelStatus.kOptimal)
     answers[False] = found
-    assert lp.maximize_integer(x, [1, 1]).bound == 1.5  # the larger bound counts
+    assert lp.maximize_integer(x, np.ones(len(x))).bound == 1.5  # the larger bound counts
+
+
+def random_binaries(seed):
+    """A program with some binaries, its objective, and its optimum by scipy (-inf if there is no point)."""
+    rng, lp = np.random.default_rng(seed), LinearProgram()
+    count = int(rng.integers(0, 9))
+    low, high = np.append(np.zeros(count), -np.ones(4)), np.ones(count + 4)
+    x, A, c = lp.add_columns(low, high), rng.normal(size=(12, count + 4)), rng.normal(size=count + 4)
+    b = rng.uniform(-0.5, 1.5, 12)
+    lp.add_rows(x, A, upper=b)
+    lp.binaries += x[:count].tolist()
+    best = milp(
+        -c, constraints=LinearConstraint(A, ub=b), bounds=Bounds(low, high), integrality=np.arange(count + 4) < count
+    )
+    return lp, x, c, -best.fun if best.success else -np.inf
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_branching_agrees_with_scipy(seed):
+    lp, x, c, best = random_binaries(seed)
+    for _ in range(2):
+        found = lp.maximize_integer(x, c)
+        assert found.finished and found.bound == pytest.approx(best, abs=1e-8)
+        assert lp.maximize(x, c).value >= found.bound - 1e-9  # the binaries are free again
+    if best == -np.inf:
+        assert found.point is None
+        return
+    assert c @ found.point == pytest.approx(best, abs=1e-8)
+    assert set(found.point[lp.binaries].round(8)) <= {0, 1}
+    for enough in (best - 0.1, best + 0.1):
+        stopped = lp.maximize_integer(x, c, enough=enough)
+        assert stopped.finished and best - 1e-8 <= stopped.bound <= max(best, enough) + 1e-8
+        assert (stopped.point is None) == (enough > best)
+
+
+@pytest.mark.parametrize("limits", [{"nodes": 0}, {"nodes": 1}, {"nodes": 3}, {"time_limit": 0.0}], ids=str)
+def test_branching_that_is_stopped_still_bounds(limits):
+    for seed in range(10):
+        lp, x, c, best = random_binaries(seed)
+        found = lp.maximize_integer(x, c, **limits)
+        assert found.bound >= best - 1e-8
+        assert found.finished or found.bound == np.inf or found.bound <= lp.maximize(x, c).value + 1e-8
+
+
+def test_relaxation_without_end_is_no_bound():
+    lp = LinearProgram()
+    x = lp.add_columns([0, 0], [1, np.inf])
+    lp.binaries.append(int(x[0]))
+    with pytest.raises(SolverError, match="unbounded"):
+        lp.maximize_integer(x, [1, 1])

@@ -1,5 +1,7 @@
 """The MILP against brute force over modes and channels in one to three dimensions, and against the cells."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from loops import (
@@ -206,25 +208,25 @@ def test_ample_time_limit_changes_nothing():
 @pytest.mark.parametrize("formulation", ["split", "whole"])
 @pytest.mark.parametrize("wrong", [lambda bound: bound - 0.5, lambda bound: -np.inf], ids=["too low", "infeasible"])
 def test_wrong_bound_of_the_solver_is_noticed(monkeypatch, formulation, wrong):
-    loop, solve = random_loop(0), milp._solve
+    loop, solve = random_loop(0), LinearProgram.maximize_integer
 
-    def too_low(model, v, *limits):
-        bound, point, finished = solve(model, v, *limits)
-        return (wrong(bound) if v[0] == 1 else bound), point, finished
+    def too_low(lp, columns, v, **limits):
+        found = solve(lp, columns, v, **limits)
+        return replace(found, bound=wrong(found.bound)) if v[0] == 1 else found
 
-    monkeypatch.setattr(milp, "_solve", too_low)
+    monkeypatch.setattr(LinearProgram, "maximize_integer", too_low)
     with pytest.raises(SolverError, match=r"\[1\.0, 0\.0\].* a trajectory passes this"):
         milp.support(loop, EVERYTHING[2], [[1.0, 0.0], [0.999, 0.001]], formulation=formulation)
 
 
 def test_bound_is_not_lifted_to_what_simulation_attains(monkeypatch):
-    loop, solve = random_loop(0), milp._solve
+    loop, solve = random_loop(0), LinearProgram.maximize_integer
 
-    def too_low(*asked):
-        bound, _, finished = solve(*asked)
-        return bound - 0.5, None, finished
+    def too_low(*asked, **limits):
+        found = solve(*asked, **limits)
+        return replace(found, bound=found.bound - 0.5, point=None)
 
-    monkeypatch.setattr(milp, "_solve", too_low)
+    monkeypatch.setattr(LinearProgram, "maximize_integer", too_low)
     with pytest.raises(SolverError, match="a trajectory passes this"):
         milp.support(loop, EVERYTHING[2], [[1.0, 0.0]])
 

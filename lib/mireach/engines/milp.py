@@ -319,10 +319,10 @@ class _Leaves:
             return self.ask.model(bounds, box, bound_loop(self.ask.loop, box, self.ask.steps).at(0))
         return self.ask.model(bounds, self.boxes.take([index]), self.found.at(index))
 
-    def solve(self, index, bounds, answer, time_limit):
-        """The bound on one box along the answer's direction."""
+    def solve(self, index, bounds, answer, time_limit, cutoff):
+        """The bound on one box along the answer's direction, or one that is not above the cutoff."""
         shared = self.models.setdefault((index, bounds), _Shared(partial(self.model, index, bounds)))
-        return shared.solve(self.ask, answer, time_limit)
+        return shared.solve(self.ask, answer, time_limit, cutoff)
 
     def settle(self, row, answer, cutoff):
         """Solve on one box after another, the most promising first, until the others cannot be better."""
@@ -336,12 +336,14 @@ class _Leaves:
                 answer.finished, answer.bound = False, max(answer.bound, upper[index])
                 break
             if count == self.many:
-                answer.bound = max(answer.bound, min(self.solve(None, careful, answer, remaining), upper[index]))
+                answer.bound = max(
+                    answer.bound, min(self.solve(None, careful, answer, remaining, cutoff), upper[index])
+                )
                 break
             quick = "interval" if self.simple[index] else careful
-            bound = min(self.solve(index, quick, answer, remaining), upper[index])
+            bound = min(self.solve(index, quick, answer, remaining, cutoff), upper[index])
             if answer.finished and bound > answer.value + LOOSE * (1 + abs(bound)) and quick != careful:
-                bound = min(bound, self.solve(index, careful, answer, remaining))  # smaller big-M
+                bound = min(bound, self.solve(index, careful, answer, remaining, cutoff))  # smaller big-M
             answer.bound = max(answer.bound, bound)
 
 
@@ -351,13 +353,13 @@ class _Shared:
     def __init__(self, build):
         self._build, self._building, self._idle = build, Lock(), []
 
-    def solve(self, ask, answer, time_limit):
-        """The bound along the answer's direction; -inf if there is no model."""
+    def solve(self, ask, answer, time_limit, cutoff=-np.inf):
+        """The bound along the answer's direction, or one that is not above the cutoff; -inf if there is no model."""
         with self._building:
             if self._model is None:
                 return -np.inf
             model = self._idle.pop() if self._idle else replace(self._model, program=self._model.program.copy())
-        bound = _ask_solver(ask, model, answer, time_limit)
+        bound = _ask_solver(ask, model, answer, time_limit, cutoff)
         self._idle.append(model)
         return bound
 
@@ -463,11 +465,14 @@ def _at_once(ask, formulation, jobs):
     return answers
 
 
-def _ask_solver(ask, model, answer, time_limit):
+def _ask_solver(ask, model, answer, time_limit, cutoff):
     """Solve a model along the answer's direction, offer its trajectory to the answer, and return the bound."""
-    bound, point, finished = _solve(model, answer.v, time_limit, ask.gap)
-    bound = float(_above(bound))
-    answer.finished &= finished
+    enough = max(answer.value, 2 * cutoff - float(_above(cutoff)) if cutoff > -np.inf else cutoff)
+    found = model.program.maximize_integer(
+        model.states[-1], answer.v, gap=ask.gap, enough=enough, time_limit=time_limit
+    )
+    bound, point = float(_above(found.bound)), found.point
+    answer.finished &= found.finished
     if point is None:
         return bound
     x = point[model.states[0]]
@@ -478,12 +483,6 @@ def _ask_solver(ask, model, answer, time_limit):
     path = (x, modes, [point[d] for d in model.disturbances])
     answer.offer(answer.v @ replay(ask.loop, *path).states[-1], path)
     return bound
-
-
-def _solve(model, v, time_limit, gap):
-    """max v x(k): dual bound (-inf if infeasible), the best point or None, and whether the solver finished."""
-    found = model.program.maximize_integer(model.states[-1], v, gap=gap, time_limit=time_limit)
-    return found.bound, found.point, found.finished
 
 
 def _share(work, count, jobs):
