@@ -9,7 +9,7 @@ from loops import largest
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from mireach.errors import SolverError
-from mireach.lp import BRANCHED, IntegerOptimum, LinearProgram
+from mireach.lp import BRANCHED, DUAL, IntegerOptimum, LinearProgram, Optimum
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -134,3 +134,24 @@ def test_relaxation_without_end_is_no_bound():
     lp.binaries.append(int(x[0]))
     with pytest.raises(SolverError, match="unbounded"):
         lp.maximize_integer(x, [1, 1])
+
+
+def test_a_node_is_left_out_only_if_both_simplex_methods_find_no_point(monkeypatch):
+    lp, x, c, best = random_binaries(0)
+    solve, wrong = LinearProgram._relaxation, []
+
+    def dual_finds_nothing(lp):
+        found = solve(lp)
+        _, strategy = lp.highs.getOptionValue("simplex_strategy")
+        wrong.append(strategy == DUAL)
+        return Optimum(-np.inf, None) if wrong[-1] else found
+
+    monkeypatch.setattr(LinearProgram, "_relaxation", dual_finds_nothing)
+    assert best > -np.inf and lp.maximize_integer(x, c).bound == pytest.approx(best, abs=1e-8)
+    assert any(wrong) and lp.highs.getOptionValue("simplex_strategy")[1] == DUAL
+
+
+def test_branching_ends_where_nothing_more_is_asked():
+    lp, x, c, _ = random_binaries(0)
+    found = lp.maximize_integer(x, c, enough=np.inf, gap=0.0)
+    assert found.finished and found.bound == np.inf and found.point is None

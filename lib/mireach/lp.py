@@ -49,7 +49,7 @@ class IntegerOptimum:
     bound : float
         The dual bound: no point exceeds it by more than the solver's tolerances. -inf if there is no point.
     point : array (columns,) or None
-        The best that was found.
+        The best that was found, if any is better than what was called enough.
     finished : bool
         False if a limit stopped the search.
     """
@@ -218,7 +218,7 @@ class LinearProgram:
             If HiGHS ends without an answer.
         """
         self.set_objective(columns, coefficients)
-        if presolve is None and len(self.binaries) <= BRANCHED:
+        if len(self.binaries) <= (BRANCHED if presolve is None else 0):
             return self._branch(gap, enough, nodes, time_limit)
         self._declare_binaries(True)
         for name, setting in {
@@ -276,11 +276,10 @@ class LinearProgram:
         try:
             while waiting and (nodes is None or looked < nodes) and perf_counter() < end:
                 above, low, high = waiting.pop()
-                settled = best + gap * (1 + abs(best)) if best > -np.inf else best
+                settled = best + gap * (1 + abs(best)) if np.isfinite(best) else best
                 if above > settled:
                     self.highs.changeColsBounds(len(columns), columns, low, high)
-                    self.highs.clearSolver()
-                    relaxed, looked = self._relaxation(), looked + 1
+                    relaxed, looked = self._afresh(), looked + 1
                     above = min(above, relaxed.value)
                 if above <= settled:
                     bound = max(bound, above)
@@ -299,7 +298,21 @@ class LinearProgram:
                     waiting.append((above, low, high))
         finally:
             self.highs.changeColsBounds(len(columns), columns, *limits)
+            self.highs.clearSolver()
         return IntegerOptimum(max([bound, *(above for above, _, _ in waiting)]), point, not waiting)
+
+    def _afresh(self):
+        """The Optimum of the relaxation, from no basis; that there is no point has to hold for both simplex methods."""
+        self.highs.clearSolver()
+        found = self._relaxation()
+        if found.value > -np.inf:
+            return found
+        self.highs.clearSolver()
+        self.highs.setOptionValue("simplex_strategy", PRIMAL)
+        try:
+            return self._relaxation()
+        finally:
+            self.highs.setOptionValue("simplex_strategy", DUAL)
 
     def _declare_binaries(self, integer):
         """Hold the binaries to 0 and 1, or relax them."""

@@ -28,7 +28,7 @@ __all__ = ["FORMULATIONS", "Model", "build", "check_inputs", "support"]
 
 FORMULATIONS = ("split", "whole", "paper")
 MARGIN = (
-    2e-10  # beside MIP_TOLERANCE, by which HiGHS may prune what is better: for gap and LPs, relative to 1 + the bound
+    2e-10  # beside MIP_TOLERANCE, by which what is better may be pruned: for gap and LPs, relative to 1 + the bound
 )
 LOOSE = 1e-7  # a bound further above the best trajectory is asked for again with smaller big-M (relative to 1 + it)
 DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
@@ -94,8 +94,8 @@ def support(
     Returns
     -------
     Support
-        `bound` is HiGHS's dual bound plus its tolerance (the larger one of two, see `LinearProgram.maximize_integer`),
-        or the bound from boxes where no model is needed; `value` what the witness attains when it is replayed on the
+        `bound` is the dual bound plus HiGHS's tolerance (how it is found: `LinearProgram.maximize_integer`), or the
+        bound from boxes where no model is needed; `value` what the witness attains when it is replayed on the
         loop (constraints hold to HiGHS's tolerance of 1e-9). By "split" it is a `BoxSupport`, which helps as `known`
         for a smaller set.
 
@@ -237,7 +237,7 @@ class _Answer:
 
 
 def _above(value, gap=0.0):
-    """What HiGHS may have missed above a value that it calls the largest."""
+    """What may have been missed above a value that a solver calls the largest."""
     return value + np.where(np.isfinite(value), MIP_TOLERANCE + (MARGIN + gap) * (1 + np.abs(value)), 0)
 
 
@@ -342,7 +342,8 @@ class _Leaves:
                 break
             quick = "interval" if self.simple[index] else careful
             bound = min(self.solve(index, quick, answer, remaining, cutoff), upper[index])
-            if answer.finished and bound > answer.value + LOOSE * (1 + abs(bound)) and quick != careful:
+            loose = bound > max(answer.value + LOOSE * (1 + abs(bound)), cutoff)
+            if answer.finished and loose and quick != careful:
                 bound = min(bound, self.solve(index, careful, answer, remaining, cutoff))  # smaller big-M
             answer.bound = max(answer.bound, bound)
 
@@ -467,7 +468,7 @@ def _at_once(ask, formulation, jobs):
 
 def _ask_solver(ask, model, answer, time_limit, cutoff):
     """Solve a model along the answer's direction, offer its trajectory to the answer, and return the bound."""
-    enough = max(answer.value, 2 * cutoff - float(_above(cutoff)) if cutoff > -np.inf else cutoff)
+    enough = max(answer.value, 2 * cutoff - float(_above(cutoff, ask.gap)) if cutoff > -np.inf else cutoff)
     found = model.program.maximize_integer(
         model.states[-1], answer.v, gap=ask.gap, enough=enough, time_limit=time_limit
     )
