@@ -7,12 +7,14 @@ from time import perf_counter
 
 import highspy
 import numpy as np
+from scipy.sparse import csc_array, csr_array
 
 from .errors import SolverError
 
 MIP_TOLERANCE = 1e-9  # feasibility in a MILP; `engines.bounds.SAFETY` has to stay far above it
 GAP = 1e-10  # between the bound of a MILP and its best point, at which the solver may stop; relative and absolute
 TOLERANCE = 1e-10  # HiGHS keeps constraints and reduced costs to within this, in units of the row
+LOOSE = 1e-8  # a bound further above what HiGHS attains may be better with other multipliers (relative to 1 + it)
 BRANCHED = 16  # binaries up to which a branch and bound over LPs is faster than a MILP solver, and easier to trust
 
 DUAL, PRIMAL = 1, 4  # HiGHS's numbers for its simplex methods; the dual one is its default
@@ -59,6 +61,46 @@ class IntegerOptimum:
     finished: bool
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """lower <= A x <= upper.
+
+    Attributes
+    ----------
+    transposed, size : csr_array (columns, rows)
+        A' and |A|'.
+    lower, upper : array (rows,)
+    """
+
+    transposed: csr_array
+    size: csr_array
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @classmethod
+    def of(cls, lp):
+        """The rows of a HighsLp."""
+        matrix, shape = lp.a_matrix_, (lp.num_row_, lp.num_col_)
+        kind = csr_array if matrix.format_ == highspy.MatrixFormat.kRowwise else csc_array
+        A = kind((np.array(matrix.value_), np.array(matrix.index_), np.array(matrix.start_)), shape=shape)
+        transposed = csr_array(A.T)
+        return cls(transposed, abs(transposed), np.array(lp.row_lower_), np.array(lp.row_upper_))
+
+    def bound(self, c, y, low, high):
+        """A number that c x nowhere exceeds on these rows and low <= x <= high, for any multipliers y (rows,).
+
+        Weak duality: c x = y A x + (c - A'y) x <= sum max(y lower, y upper) + sum max((c - A'y) low, (c - A'y) high).
+        What rounding may do to that is added.
+        """
+        y = np.where(((y > 0) & (self.upper == np.inf)) | ((y < 0) & (self.lower == -np.inf)), 0, y)
+        rows = np.where(y > 0, self.upper, np.where(y < 0, self.lower, 0)) * y
+        reduced, terms = c - self.transposed @ y, np.abs(c) + self.size @ np.abs(y)
+        columns = np.where(reduced > 0, high, np.where(reduced < 0, low, 0)) * reduced
+        extent = np.where(terms > 0, np.maximum(np.abs(low), np.abs(high)), 0)
+        rounding = 2.0**-53 * (len(rows) + len(columns) + 4) * (np.abs(rows).sum() + extent @ terms)
+        return float(rows.sum() + columns.sum() + rounding)
+
+
 def _alone(method):
     """Let one thread at a time into a method of a LinearProgram."""
 
@@ -101,7 +143,8 @@ class LinearProgram:
             self.highs.setOptionValue(name, setting)
         self.highs.changeObjectiveSense(highspy.ObjSense.kMaximize)
         self.lower, self.upper, self.binaries = np.zeros(0), np.zeros(0), []
-        self._costed, self._declared, self._asked = np.zeros(0, dtype=np.int32), 0, Lock()
+        self._costed, self._costs = np.zeros(0, dtype=np.int32), np.zeros(0)
+        self._declared, self._asked, self._known_rows = 0, Lock(), None
 
     @_alone
     def copy(self):
@@ -109,13 +152,14 @@ class LinearProgram:
         other = LinearProgram()
         other.highs.passModel(self.highs.getLp())
         other.lower, other.upper, other.binaries = self.lower.copy(), self.upper.copy(), list(self.binaries)
-        other._costed, other._declared = self._costed, self._declared
+        other._costed, other._costs, other._declared = self._costed, self._costs, self._declared
+        other._known_rows = self._rows()
         return other
 
     def add_columns(self, lower, upper):
         """Add variables with bounds (k,) each; returns their indices (k,)."""
         lower, upper = np.broadcast_arrays(np.asarray(lower, float), np.asarray(upper, float))
-        first = len(self.lower)
+        first, self._known_rows = len(self.lower), None
         self.highs.addVars(lower.size, lower.ravel(), upper.ravel())
         self.lower = np.concatenate([self.lower, lower.ravel()])
         self.upper = np.concatenate([self.upper, upper.ravel()])
@@ -132,7 +176,7 @@ class LinearProgram:
     def add_row(self, columns, coefficients, lower=-np.inf, upper=np.inf):
         """Add lower <= coefficients x[columns] <= upper."""
         coefficients = np.asarray(coefficients, float)
-        used = coefficients != 0
+        used, self._known_rows = coefficients != 0, None
         self.highs.addRow(
             float(lower), float(upper), int(used.sum()), np.asarray(columns, np.int32)[used], coefficients[used]
         )
@@ -161,6 +205,27 @@ class LinearProgram:
         self.set_objective(columns, coefficients)
         return self._relaxation()
 
+    @_alone
+    def bound(self, columns, coefficients):
+        """A number that coefficients x[columns] nowhere exceeds: the value of `maximize`, raised to what is proven.
+
+        The proof is weak duality with HiGHS's multipliers (of a ray, where there is no point), in floating point with
+        its rounding counted. Where they prove nothing, as for variables without limits, it is the larger one of what
+        both simplex methods say.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        SolverError
+            As `maximize`.
+        """
+        self._declare_binaries(False)
+        self.set_objective(columns, coefficients)
+        return self._proven(self.lower, self.upper).value
+
     def _relaxation(self):
         """The Optimum of the objective, binaries being relaxed."""
         self.highs.run()
@@ -188,7 +253,7 @@ class LinearProgram:
     ):
         """max coefficients x[columns] over the constraints so far, the `binaries` being 0 or 1.
 
-        Up to `BRANCHED` binaries are branched on here, so that only linear programs have to be trusted.
+        Up to `BRANCHED` binaries are branched on here, each node bounded as by `bound`: HiGHS need not be trusted.
 
         Parameters
         ----------
@@ -269,7 +334,8 @@ class LinearProgram:
         self._declare_binaries(False)
         self.highs.passModel(self.highs.getLp())  # last digits do not depend on how it was scaled for other questions
         columns = np.array(self.binaries, np.int32)
-        limits = self.lower[columns], self.upper[columns]
+        lower, upper = self.lower.copy(), self.upper.copy()
+        limits = lower[columns], upper[columns]
         best, bound, point, looked = enough, -np.inf, None, 0
         end = np.inf if time_limit is None else perf_counter() + time_limit
         waiting = [(np.inf, *limits)]  # what bounds a node from above, and the limits of its binaries
@@ -279,7 +345,8 @@ class LinearProgram:
                 settled = best + gap * (1 + abs(best)) if np.isfinite(best) else best
                 if above > settled:
                     self.highs.changeColsBounds(len(columns), columns, low, high)
-                    relaxed, looked = self._afresh(), looked + 1
+                    lower[columns], upper[columns] = low, high
+                    relaxed, looked = self._proven(lower, upper, afresh=True), looked + 1
                     above = min(above, relaxed.value)
                 if above <= settled:
                     bound = max(bound, above)
@@ -301,18 +368,39 @@ class LinearProgram:
             self.highs.clearSolver()
         return IntegerOptimum(max([bound, *(above for above, _, _ in waiting)]), point, not waiting)
 
-    def _afresh(self):
-        """The Optimum of the relaxation, from no basis; that there is no point has to hold for both simplex methods."""
-        self.highs.clearSolver()
-        found = self._relaxation()
-        if found.value > -np.inf:
-            return found
-        self.highs.clearSolver()
-        self.highs.setOptionValue("simplex_strategy", PRIMAL)
+    def _proven(self, lower, upper, afresh=False):
+        """The Optimum of the relaxation between limits of x, its value being raised to a bound by weak duality.
+
+        Without multipliers that give a bound it is the larger one of what both simplex methods say.
+        """
+        c, rows, said, proven = np.zeros(len(lower)), self._rows(), [], []
+        c[self._costed] = self._costs
         try:
-            return self._relaxation()
+            for method in (DUAL, PRIMAL):
+                if afresh or method == PRIMAL:
+                    self.highs.clearSolver()
+                self.highs.setOptionValue("simplex_strategy", method)
+                relaxed = self._relaxation()
+                said.append(relaxed)
+                if relaxed.value == -np.inf:
+                    _, known, ray = self.highs.getDualRay()
+                    if known and rows.bound(np.zeros(len(c)), -np.array(ray), lower, upper) < 0:
+                        return relaxed
+                elif relaxed.value < np.inf:
+                    bound = rows.bound(c, np.array(self.highs.getSolution().row_dual), lower, upper)
+                    proven.append(Optimum(bound, relaxed.point))
+                    if bound <= relaxed.value + LOOSE * (1 + abs(relaxed.value)):
+                        break
         finally:
             self.highs.setOptionValue("simplex_strategy", DUAL)
+        best = min(proven, key=lambda optimum: optimum.value, default=None)
+        return best if best is not None and best.value < np.inf else max(said, key=lambda optimum: optimum.value)
+
+    def _rows(self):
+        """The constraints so far."""
+        if self._known_rows is None:
+            self._known_rows = _Rows.of(self.highs.getLp())
+        return self._known_rows
 
     def _declare_binaries(self, integer):
         """Hold the binaries to 0 and 1, or relax them."""
@@ -326,5 +414,5 @@ class LinearProgram:
     def set_objective(self, columns, coefficients):
         """Replace the objective; the constraints and the basis stay."""
         self.highs.changeColsCost(len(self._costed), self._costed, np.zeros(len(self._costed)))
-        self._costed = np.asarray(columns, np.int32)
-        self.highs.changeColsCost(len(self._costed), self._costed, np.asarray(coefficients, float))
+        self._costed, self._costs = np.asarray(columns, np.int32), np.asarray(coefficients, float)
+        self.highs.changeColsCost(len(self._costed), self._costed, self._costs)

@@ -37,7 +37,7 @@ def upper_bound(lp, columns, coefficients, constant=0.0, method="lp"):
     if method == "interval" or interval <= 0 or not used.any():
         return interval
     try:
-        bound = _safe(lp.maximize(columns, coefficients).value + constant, interval)
+        bound = _safe(lp.bound(columns, coefficients) + constant, interval)
         if method == "tight" and lp.binaries and bound > 0:
             bound = _safe(lp.maximize_integer(columns, coefficients, nodes=NODES).bound + constant, bound)
     except SolverError:  # flat sets can leave a solver undecided; the interval holds in any case

@@ -94,10 +94,9 @@ def support(
     Returns
     -------
     Support
-        `bound` is the dual bound plus HiGHS's tolerance (how it is found: `LinearProgram.maximize_integer`), or the
-        bound from boxes where no model is needed; `value` what the witness attains when it is replayed on the
-        loop (constraints hold to HiGHS's tolerance of 1e-9). By "split" it is a `BoxSupport`, which helps as `known`
-        for a smaller set.
+        `bound` is the dual bound of `LinearProgram.maximize_integer` plus HiGHS's tolerance, or that from boxes where no
+        model is needed; `value` what the witness attains when it is replayed on the loop (constraints hold to HiGHS's
+        tolerance of 1e-9). By "split" it is a `BoxSupport`, which helps as `known` for a smaller set.
 
     Raises
     ------
