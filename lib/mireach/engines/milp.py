@@ -18,7 +18,7 @@ import numpy as np
 from ..checks import positive_number, real_array, whole_number
 from ..errors import SolverError, SolverStopped
 from ..loop import require_inputs
-from ..lp import GAP, MIP_TOLERANCE
+from ..lp import BRANCHED, GAP, MIP_TOLERANCE
 from .bounds import METHODS, SAFETY
 from .boxes import ROUNDING, Boxes, bound_loop
 from .common import Support, checked_query, empty_support, replay
@@ -87,14 +87,14 @@ def support(
         Relative gap between bound and value at which the solver may stop. HiGHS's own default of 1e-4
         would be far too loose for sets that are compared with each other.
     jobs : int or None
-        Threads, among which the directions are shared out; the answer does not depend on it. None is one a core. Only
-        HiGHS runs beside other threads: for one step of the case studies that is a quarter to a half of the time (the
-        rest are bounds and the building of models), for several steps it is nearly all.
+        Threads, among which the directions are shared out; the answer does not depend on it. None is one a core where a
+        model has more binaries than are branched on here, else one in all: only HiGHS runs beside other threads, and
+        the small linear programs of one step do not keep it busy.
 
     Returns
     -------
     Support
-        `bound` is the dual bound of `LinearProgram.maximize_integer` plus HiGHS's tolerance, or that from boxes where no
+        `bound` is the dual bound of `LinearProgram.maximize_integer` plus HiGHS's tolerance, or that of boxes where no
         model is needed; `value` what the witness attains when it is replayed on the loop (constraints hold to HiGHS's
         tolerance of 1e-9). By "split" it is a `BoxSupport`, which helps as `known` for a smaller set.
 
@@ -119,7 +119,7 @@ def support(
     before = known if isinstance(known, BoxSupport) else None
     known = known.bound if isinstance(known, Support) else known
     cutoff, known = _one_a_row(cutoff, "cutoff", V, -np.inf), _one_a_row(known, "known", V, np.inf)
-    jobs = cpu_count() or 1 if jobs is None else whole_number(jobs, "jobs", 1)
+    jobs = None if jobs is None else whole_number(jobs, "jobs", 1)
     X = loop.system.state_set
     start = F & X
     if start.is_empty:
@@ -291,7 +291,7 @@ def _split(ask, cutoff, jobs, before=None):
         answers[row].bound = settled[row]
         leaves.settle(row, answers[row], cutoff[row])
 
-    _share(settle, k, jobs)
+    _share(settle, k, jobs, leaves.large)
     return answers, (*_joined([(boxes, upper), *done]), root)
 
 
@@ -309,6 +309,7 @@ class _Leaves:
         self.ask, self.boxes, self.upper, self.many = ask, boxes, upper, many
         self.found = bound_loop(ask.loop, boxes, ask.steps)
         self.simple = self.found.binaries <= FEW * ask.steps
+        self.large = bool((self.found.binaries > BRANCHED).any())
         self.models = {}
 
     def model(self, index, bounds):
@@ -461,7 +462,7 @@ def _at_once(ask, formulation, jobs):
     def settle(row):
         answers[row].bound = min(model.solve(ask, answers[row], ask.time_limit), ask.known[row])
 
-    _share(settle, len(answers), jobs)
+    _share(settle, len(answers), jobs, True)
     return answers
 
 
@@ -485,8 +486,9 @@ def _ask_solver(ask, model, answer, time_limit, cutoff):
     return bound
 
 
-def _share(work, count, jobs):
-    """work(row) for the rows 0, ..., count - 1, by `jobs` threads."""
+def _share(work, count, jobs, large):
+    """work(row) for the rows 0, ..., count - 1, by `jobs` threads; for None one a core if models are large."""
+    jobs = jobs or (large and cpu_count()) or 1
     if min(jobs, count) <= 1:
         for row in range(count):
             work(row)
