@@ -528,14 +528,16 @@ def _uncovered(images):
     """(Polytope, chain) of those images that lie in no larger one, errors included."""
     images = sorted(images, key=lambda image: -image.set.area)
     points, error = Polygons.of([image.points for image in images]), np.array([image.error for image in images])
+    box = points.largest(points.points @ box_directions(2).T) + np.hstack([error, error])  # a set's own box is one too
     left, kept = np.arange(len(images)), []
     while len(left):
-        largest = images[left[0]].set
-        kept.append((largest, images[left[0]].chain))
-        points, error, left = points.take(np.arange(1, len(left))), error[1:], left[1:]
-        reach = points.largest(points.points @ largest.H.T) + error @ np.abs(largest.H).T
-        open_ = np.flatnonzero((reach > largest.h).any(axis=1))
-        points, error, left = points.take(open_), error[open_], left[open_]
+        first, left = left[0], left[1:]
+        largest = images[first].set
+        kept.append((largest, images[first].chain))
+        near = left[(box[left] <= box[first]).all(axis=1)]
+        part = points.take(near)
+        reach = part.largest(part.points @ largest.H.T) + error[near] @ np.abs(largest.H).T
+        left = np.setdiff1d(left, near[(reach <= largest.h).all(axis=1)], assume_unique=True)
     return kept
 
 
