@@ -9,6 +9,7 @@ import pytest
 from loops import largest
 from scipy.optimize import Bounds, LinearConstraint, milp
 
+from mireach import Polytope
 from mireach.errors import SolverError
 from mireach.lp import BRANCHED, DUAL, IntegerOptimum, LinearProgram, Optimum
 
@@ -209,3 +210,26 @@ def test_without_limits_on_variables_both_simplex_methods_are_believed():
     assert lp.bound(x, [1, -1]) == np.inf
     lp.add_row(x, [-1, -0.1], upper=-2)
     assert lp.bound(x, [1, 1]) == -np.inf
+
+
+def test_small_coefficients_count():
+    lp = LinearProgram()
+    x = lp.add_columns([0, 0], [10, 10])
+    lp.add_row(x, [1e-9, 0], lower=2e-9)  # x1 >= 2
+    lp.add_row(x, [1, 5e-10], upper=3)
+    for ask in (lp.maximize, lp.maximize_integer):
+        assert ask(x, [-1, 0]).point[0] == pytest.approx(2, abs=1e-9)
+    assert lp.bound(x, [1, 0.5e-9]) == pytest.approx(3, abs=1e-12)
+    assert Polytope(1e-9 * np.vstack([np.eye(3), -np.eye(3)]), 1e-9 * np.array([6, 6, 6, -5, -5, -5])).support(
+        [[1, 1, 1]]
+    ) == pytest.approx(18)
+
+
+def test_no_point_is_lost_where_coefficients_are_too_small_for_the_solver():
+    lp = LinearProgram()
+    x = lp.add_columns([0, -1000], [10, 1000])
+    lp.add_row(x, [1, 1e-13], lower=3, upper=3)
+    assert 3 + 1e-10 <= lp.bound(x, [1, 0]) <= 3 + 2e-10
+    free = lp.add_columns([-np.inf], [np.inf])
+    lp.add_row([x[0], free[0]], [1, 6e-17], upper=2.5)  # as the noise of a rotated row
+    assert lp.bound(x, [1, 0]) == -np.inf

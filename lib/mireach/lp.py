@@ -14,6 +14,8 @@ from .errors import SolverError
 MIP_TOLERANCE = 1e-9  # feasibility in a MILP; `engines.bounds.SAFETY` has to stay far above it
 GAP = 1e-10  # between the bound of a MILP and its best point, at which the solver may stop; relative and absolute
 TOLERANCE = 1e-10  # HiGHS keeps constraints and reduced costs to within this, in units of the row
+TINY = 1e-12  # HiGHS leaves out coefficients that are not larger, and cannot be told to keep them
+SMALL = 2.0**-10  # rows whose largest coefficient is below this are scaled up, by a power of two
 LOOSE = 1e-8  # a bound further above what HiGHS attains may be better with other multipliers (relative to 1 + it)
 BRANCHED = 16  # binaries up to which a branch and bound over LPs is faster than a MILP solver, and easier to trust
 
@@ -139,6 +141,7 @@ class LinearProgram:
             "presolve": "off",
             "primal_feasibility_tolerance": TOLERANCE,
             "dual_feasibility_tolerance": TOLERANCE,
+            "small_matrix_value": TINY,
         }.items():
             self.highs.setOptionValue(name, setting)
         self.highs.changeObjectiveSense(highspy.ObjSense.kMaximize)
@@ -174,8 +177,23 @@ class LinearProgram:
         self.lower[columns], self.upper[columns] = lower, upper
 
     def add_row(self, columns, coefficients, lower=-np.inf, upper=np.inf):
-        """Add lower <= coefficients x[columns] <= upper."""
+        """Add lower <= coefficients x[columns] <= upper, for distinct columns.
+
+        Coefficients up to `TINY` are left out; where their variables have limits, the row is widened by what they can
+        contribute, so that no point is lost.
+        """
         coefficients = np.asarray(coefficients, float)
+        size = np.abs(coefficients)
+        largest = size.max(initial=0)
+        if 0 < largest < SMALL:
+            scale = 2.0 ** -np.floor(np.log2(largest))
+            coefficients, size, lower, upper = coefficients * scale, size * scale, lower * scale, upper * scale
+        tiny = (size <= TINY) & (size > 0)
+        if tiny.any():
+            left_out = np.asarray(columns)[tiny]
+            most = size[tiny] * np.maximum(np.abs(self.lower[left_out]), np.abs(self.upper[left_out]))
+            slack = most[np.isfinite(most)].sum()
+            coefficients, lower, upper = np.where(tiny, 0, coefficients), lower - slack, upper + slack
         used, self._known_rows = coefficients != 0, None
         self.highs.addRow(
             float(lower), float(upper), int(used.sum()), np.asarray(columns, np.int32)[used], coefficients[used]
@@ -190,7 +208,7 @@ class LinearProgram:
 
     @_alone
     def maximize(self, columns, coefficients):
-        """max coefficients x[columns] over the constraints so far.
+        """max coefficients x[columns] over the constraints so far, for distinct columns.
 
         Returns
         -------
@@ -253,7 +271,8 @@ class LinearProgram:
     ):
         """max coefficients x[columns] over the constraints so far, the `binaries` being 0 or 1.
 
-        Up to `BRANCHED` binaries are branched on here, each node bounded as by `bound`: HiGHS need not be trusted.
+        Up to `BRANCHED` binaries are branched on here, each node bounded as by `bound`: HiGHS need not be trusted, but
+        where both its simplex methods call a node empty without a ray that proves it.
 
         Parameters
         ----------
@@ -414,5 +433,5 @@ class LinearProgram:
     def set_objective(self, columns, coefficients):
         """Replace the objective; the constraints and the basis stay."""
         self.highs.changeColsCost(len(self._costed), self._costed, np.zeros(len(self._costed)))
-        self._costed, self._costs = np.asarray(columns, np.int32), np.asarray(coefficients, float)
+        self._costed, self._costs = np.array(columns, np.int32), np.array(coefficients, float)
         self.highs.changeColsCost(len(self._costed), self._costed, self._costs)

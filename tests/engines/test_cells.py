@@ -406,3 +406,21 @@ def test_cells_that_a_set_misses_are_left_out_for_smaller_ones(seed):
     assert counts == sorted(counts, reverse=True) and counts[-1] < counts[0]
     larger = Polytope.box([-3, -3], [3, 3])
     np.testing.assert_array_equal(support(loop, larger, V, known=known).bound, support(loop, larger, V).bound)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_outside_the_state_set_nothing_is_reached(steps):
+    loop = random_loop(0)
+    found = support(loop, Polytope.box([50, 50], [60, 60]), V, steps)
+    assert (found.bound == -np.inf).all() and list(found.witness) == [None] * len(V)
+
+
+def test_nothing_is_reached_when_all_trajectories_have_left_the_state_set():
+    X, U, D = Polytope.box([-1, -1], [1, 1]), Polytope.box([-1], [1]), Polytope.box([0, 0], [0, 0])
+    everywhere = Polytope(np.zeros((0, 3)), np.zeros(0))
+    system = PWASystem([Mode(3 * np.eye(2), [[0], [0]], [0, 0], everywhere, D)], X, U)
+    loop = ClosedLoop(system, MaxoutNetwork([Layer(np.zeros((2, 2)), np.zeros(2), 2)], [[1.0]], [0.0]))
+    F = Polytope.box([0.5, 0.5], [0.9, 0.9])  # R_1 lies beyond X
+    assert (support(loop, F, V, 1).bound > -np.inf).all()
+    for steps in (2, 3, 4):
+        assert (support(loop, F, V, steps).bound == -np.inf).all()

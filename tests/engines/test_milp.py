@@ -18,6 +18,8 @@ from loops import (
 
 from mireach import (
     ClosedLoop,
+    Layer,
+    MaxoutNetwork,
     Mode,
     Polytope,
     PWASystem,
@@ -304,3 +306,13 @@ def test_whole_sequences_of_the_case_studies_agree_with_exact_arithmetic(name):
         bound = milp.support(case.loop, F, case.directions).bound
         truth = exact.support(case.loop, F, case.directions).value
         assert (bound >= truth).all() and (bound <= truth + 1e-6).all()
+
+
+@pytest.mark.parametrize("formulation", milp.FORMULATIONS)
+def test_small_entries_of_the_plant_count(formulation):
+    X, U, D = Polytope.box([-1000, -1000], [1000, 1000]), Polytope.box([-1], [1]), Polytope.box([0, 0], [0, 0])
+    everywhere = Polytope(np.zeros((0, 3)), np.zeros(0))
+    system = PWASystem([Mode([[0.5, -9e-10], [-9e-10, 0.5]], [[1], [0.5]], [0, 0], everywhere, D)], X, U)
+    loop = ClosedLoop(system, MaxoutNetwork([Layer([[1e-4, 0], [1e-4, 0]], [0, 0], 2)], [[1.0]], [0.0]))
+    found, truth = milp.support(loop, X, directions(5), formulation=formulation), exact.support(loop, X, directions(5))
+    assert (found.bound >= truth.value).all() and (found.bound <= truth.value + 1e-6).all()

@@ -526,6 +526,8 @@ def _images(every, F, chain):
 
 def _uncovered(images):
     """(Polytope, chain) of those images that lie in no larger one, errors included."""
+    if not images:
+        return []
     images = sorted(images, key=lambda image: -image.set.area)
     points, error = Polygons.of([image.points for image in images]), np.array([image.error for image in images])
     box = points.largest(points.points @ box_directions(2).T) + np.hstack([error, error])  # a set's own box is one too
