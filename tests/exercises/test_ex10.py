@@ -18,7 +18,8 @@ def test_a_target_that_is_not_widened_or_widened_the_wrong_way_is_caught():
     def with_offsets(offsets):
         return lambda C, M, c, D, T: mr.Polytope(T.H @ M, offsets(D, T) - T.H @ c) & C
 
-    expect(ex10.check_t1, with_offsets(lambda D, T: T.h), "some d leads into T")
+    # D is not about the origin, so this set is too small in one place and may be too large in another
+    expect(ex10.check_t1, with_offsets(lambda D, T: T.h), "d leads into T")
     expect(ex10.check_t1, with_offsets(lambda D, T: T.h + D.support(T.H)), "x")
     expect(ex10.check_t1, with_offsets(lambda D, T: T.h + 2), "no d leads into T, it misses by")
 
