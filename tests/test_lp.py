@@ -233,3 +233,11 @@ def test_no_point_is_lost_where_coefficients_are_too_small_for_the_solver():
     free = lp.add_columns([-np.inf], [np.inf])
     lp.add_row([x[0], free[0]], [1, 6e-17], upper=2.5)  # as the noise of a rotated row
     assert lp.bound(x, [1, 0]) == -np.inf
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-310, 5e-324])
+def test_rows_of_the_smallest_numbers_lose_no_point(size):
+    lp = LinearProgram()
+    x = lp.add_columns([0, 0], [10, 10])
+    lp.add_row(x, [size, 0], upper=20 * size)  # holds everywhere
+    assert lp.maximize(x, [1, 1]).value == pytest.approx(20) and lp.bound(x, [1, 1]) >= 20

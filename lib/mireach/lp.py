@@ -186,7 +186,7 @@ class LinearProgram:
         size = np.abs(coefficients)
         largest = size.max(initial=0)
         if 0 < largest < SMALL:
-            scale = 2.0 ** -np.floor(np.log2(largest))
+            scale = 2.0 ** min(-np.floor(np.log2(largest)), 1000)  # beyond, it would overflow
             coefficients, size, lower, upper = coefficients * scale, size * scale, lower * scale, upper * scale
         tiny = (size <= TINY) & (size > 0)
         if tiny.any():
