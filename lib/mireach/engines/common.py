@@ -1,7 +1,7 @@
 """What every engine answers with."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -9,6 +9,10 @@ import numpy as np
 from ..checks import real_array, require_columns, require_kind, whole_number
 from ..loop import ClosedLoop
 from ..polytope import Polytope
+
+EXACT = "exact arithmetic"  # what a bound may rest on, the strongest first
+COUNTED = "rounding counted"  # floats whose rounding errors are bounded and added
+SOLVER = "a solver's word"  # within its tolerances, if the solver is right
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +54,14 @@ class Support:
         Upper bound; no trajectory exceeds it. Sets are built from it.
     witness : sequence of Witness or None
         One a direction; None where there is no trajectory at all.
+    rests_on : str
+        What `bound` rests on: `EXACT`, `COUNTED` or `SOLVER`.
     """
 
     value: np.ndarray
     bound: np.ndarray
     witness: Sequence
+    rests_on: str = field(default=COUNTED, kw_only=True)
 
 
 class Lazily(Sequence):
