@@ -90,8 +90,6 @@ def polygon(H, h, parallel, tol):
         Counter-clockwise.
     local, row, offset, unit : arrays (v, 2), (l, 2), (l,) and (2,) of int
         The corners and the rows for x in units of 2^unit, rows scaled by powers of two.
-    extent : float
-        In these units no coordinate of the set exceeds it; inf if that is not proven.
     """
     none = np.empty((0, 2))
     unit, row, offset = np.zeros(2, np.int64), np.empty(H.shape), np.empty(len(h))
@@ -100,10 +98,10 @@ def polygon(H, h, parallel, tol):
     far, kind = np.zeros(2), EMPTY
     for attempt in range(3):
         if not _in_units(H, h, unit, row, offset):
-            return EMPTY, none, none, row, offset, unit, np.inf
+            return EMPTY, none, none, row, offset, unit
         kind, local, far = _corners(row, offset, parallel, tol)
         if not len(local):
-            return EMPTY, none, none, row, offset, unit, np.inf
+            return EMPTY, none, none, row, offset, unit
         good = True
         for j in range(2):
             more = math.frexp(far[j])[1]
@@ -112,18 +110,11 @@ def polygon(H, h, parallel, tol):
                 good = False
         if good:
             break
-    corners, extent = np.empty(local.shape), np.inf
+    corners = np.empty(local.shape)
     for k in range(len(local)):
         for j in range(2):
             corners[k, j] = math.ldexp(local[k, j], unit[j])
-    if kind == FAT:
-        most, left = 0.0, 0.0
-        for v0, v1 in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
-            value, rest0, rest1 = _dual(v0, v1, local, row, offset)
-            most, left = max(most, value), max(left, rest0 + rest1)
-        if left < 0.5:
-            extent = most / (1 - left) * (1 + ROUNDING) + LEAST
-    return kind, corners, local, row, offset, unit, extent
+    return kind, corners, local, row, offset, unit
 
 
 @njit(cache=True)
@@ -194,7 +185,7 @@ def _corners(row, offset, parallel, tol):
 
 
 @njit(cache=True)
-def tight_pair(v0, v1, local, row, offset):
+def _tight_pair(v0, v1, local, row, offset):
     """A corner that is highest along v, and two rows through it that v lies between, to within rounding: (k, i, j).
 
     i or j is -1 where there is none.
@@ -223,7 +214,7 @@ def _dual(v0, v1, local, row, offset):
 
     Returns y offset and |v - row'y|, both raised by what rounding may have taken from them.
     """
-    _, i, j = tight_pair(v0, v1, local, row, offset)
+    _, i, j = _tight_pair(v0, v1, local, row, offset)
     if i < 0:
         i = j
     if j < 0:
@@ -243,13 +234,39 @@ def _dual(v0, v1, local, row, offset):
 
 
 @njit(cache=True)
-def inclusion(V, w, local, row, offset, unit, extent):
+def _extent(local, row, offset):
+    """A number that no coordinate of a FAT set exceeds; inf where that is not proven.
+
+    With m the largest coordinate, weak duality along the axes bounds m by y offset + |v - row'y| m.
+    """
+    most, left = 0.0, 0.0
+    for v0, v1 in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
+        value, rest0, rest1 = _dual(v0, v1, local, row, offset)
+        most, left = max(most, value), max(left, rest0 + rest1)
+    return most / (1 - left) * (1 + ROUNDING) + LEAST if left < 0.5 else np.inf
+
+
+@njit(cache=True)
+def in_units(v, unit):
+    """v (n,) for x in units of 2^unit, scaled by a power of two to entries below 1."""
+    most, scaled = -10000, np.zeros(len(v))
+    for j in range(len(v)):
+        if v[j] != 0:
+            most = max(most, math.frexp(v[j])[1] + unit[j])
+    for j in range(len(v)):
+        if v[j] != 0:
+            scaled[j] = math.ldexp(v[j], unit[j] - most)
+    return scaled
+
+
+@njit(cache=True)
+def inclusion(V, w, local, row, offset, unit):
     """Whether v x <= w holds in a FAT set of the plane, for each row v of V: array (k,) of 1, of -1 if not, 0 in doubt.
 
     1 is proven by weak duality, -1 by a point inside the set that is beyond the row, both with their rounding counted.
-    `local`, `row`, `offset`, `unit`, `extent` are what `polygon` returns.
+    `local`, `row`, `offset`, `unit` are what `polygon` returns.
     """
-    answer = np.zeros(len(w), np.int64)
+    answer, extent = np.zeros(len(w), np.int64), _extent(local, row, offset)
     x, y = local[:, 0].mean(), local[:, 1].mean()
     for k in range(len(w)):
         most = -10000
@@ -265,7 +282,7 @@ def inclusion(V, w, local, row, offset, unit, extent):
         if value + ROUNDING * abs(value) + LEAST <= limit:
             answer[k] = 1
             continue
-        best, _, _ = tight_pair(v0, v1, local, row, offset)
+        best, _, _ = _tight_pair(v0, v1, local, row, offset)
         x0, x1 = local[best, 0], local[best, 1]
         if v0 * x0 + v1 * x1 - ROUNDING * (abs(v0 * x0) + abs(v1 * x1)) - LEAST <= limit:
             continue

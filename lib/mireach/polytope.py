@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from . import rational
 from .balls import flint
 from .checks import positive_number, real_array, require_columns, require_kind, whole_number
-from .compiled import EMPTY, FAT, around, hull, inclusion, polygon, tight_pair
+from .compiled import EMPTY, FAT, around, hull, in_units, inclusion, polygon
 from .errors import SolverError
 from .lp import LinearProgram
 from .rational import ExactOptimum, above, binary, nearest
@@ -250,7 +250,8 @@ class Polytope:
         -----
         A float solver proposes n rows that are tight at the maximum. They prove it if the point x at which they meet
         lies in P and v is a sum of their normals with factors y >= 0 (both over the rationals), since then
-        v x = y h. Otherwise the simplex method decides over the rationals, starting from those rows.
+        v x = y h. Otherwise the simplex method decides over the rationals, starting from those rows. Bounded sets of
+        the plane have their vertices computed over the rationals, once.
 
         Examples
         --------
@@ -266,6 +267,8 @@ class Polytope:
         require_columns(v, self.dimension, "v", "the dimension of the polytope")
         if not any(direction):
             return ExactOptimum(-np.inf, None) if self.point is None else ExactOptimum(direction[0], self.point)
+        if self._plane is not None:
+            return self._highest_corner(v, direction)
         rows = self._tight(v)
         proven = self._at(rows, direction)
         return proven or rational.maximize(*self.exact, direction, [r for r in rows if r < len(self.h)])
@@ -276,15 +279,12 @@ class Polytope:
         if self._is_fat:
             two, middle = flint().fmpq(2), binary(self._plane.local.mean(axis=0))
             return tuple(z * two ** int(e) for z, e in zip(middle, self._plane.unit))
-        H, h = self.exact
         if self._plane is not None:
-            found = [binary(corner) for corner in self._plane.corners[:1]]
-            rows = ()
-        else:
-            rows, found = self._asked(np.zeros(self.dimension))
+            return next(iter(self._meeting_points), None)
+        (H, h), (rows, found) = self.exact, self._asked(np.zeros(self.dimension))
         zero = [flint().fmpq(0)] * self.dimension
         for candidate in found:
-            if all(rational.dot(a, candidate) <= b for a, b in zip(H, h)):
+            if self._holds(candidate):
                 return candidate
         proven = self._at(rows, zero)
         if proven is not None:
@@ -293,6 +293,18 @@ class Polytope:
         if few and rational.maximize([H[r] for r in few], [h[r] for r in few], zero).point is None:
             return None
         return rational.maximize(H, h, zero).point
+
+    def _highest_corner(self, v, direction):
+        """The ExactOptimum of a bounded set of the plane."""
+        corners = [*self._meeting_points]
+        if not corners:
+            return ExactOptimum(-np.inf, None)
+        v = _direction(v, self._plane.unit)
+        heights = self._local_corners @ v
+        margin = ROUNDING * np.abs(self._local_corners).max() + LEAST  # no entry of v exceeds 1
+        ahead = np.flatnonzero(heights >= heights.max() - 4 * margin)
+        value, k = max((rational.dot(direction, corners[k]), -k) for k in ahead.tolist())
+        return ExactOptimum(value, corners[-k])
 
     def _at(self, rows, direction):
         """The ExactOptimum along a direction, if n rows that may be tight there prove it; else None."""
@@ -371,15 +383,11 @@ class Polytope:
 
     def _tight(self, v):
         """Rows that a float solver proposes as tight at the maximum along v: sorted, n of them if it finds a vertex."""
-        if self.dimension == 1:
-            row, offset, _ = self._scaled
-            ahead = np.flatnonzero(row[:, 0] * v[0] > 0)
-            return (int(ahead[np.argmin(offset[ahead] / np.abs(row[ahead, 0]))]),) if len(ahead) else ()
-        if self._plane is not None:
-            found = self._plane
-            _, i, j = tight_pair(*_direction(v, found.unit), found.local, found.row, found.offset)
-            return tuple(sorted({int(i), int(j)} - {-1}))
-        return self._asked(v)[0]
+        if self.dimension > 1:
+            return self._asked(v)[0]
+        row, offset, _ = self._scaled
+        ahead = np.flatnonzero(row[:, 0] * v[0] > 0)
+        return (int(ahead[np.argmin(offset[ahead] / np.abs(row[ahead, 0]))]),) if len(ahead) else ()
 
     def _asked(self, v):
         """HiGHS's answer along v: rows that are tight (from l on those of x_j = 0), and its point, if it has one."""
@@ -400,8 +408,6 @@ class Polytope:
     @property
     def _contradiction(self):
         """Rows that, says HiGHS, no point satisfies together: a few, or none."""
-        if self._plane is not None:
-            return ()
         lp, x, _ = self._program
         try:
             if lp.maximize(x, np.zeros(self.dimension)).value > -np.inf:
@@ -443,17 +449,23 @@ class Polytope:
         x = np.asarray(x, float)
         require_columns(x, self.dimension, "x", "the dimension of the polytope")
         with np.errstate(all="ignore"):
-            excess = x @ self.H.T - (self.h + tol)
-            terms = np.abs(x) @ self._sizes[0] + (self._sizes[1] + abs(tol))
-            inside, doubtful = excess <= 0, ~(np.abs(excess) > ROUNDING * terms + LEAST)
-        if doubtful.any():
-            H, h = self.exact
-            limit = binary(tol)
-            for *which, r in np.argwhere(doubtful):
-                point = x[tuple(which)]
-                if np.isfinite(point).all():
-                    inside[(*which, r)] = rational.dot(H[r], binary(point)) <= h[r] + limit
-        return inside.all(axis=-1)
+            excess = x @ self.H.T - (self.h + tol if tol else self.h)
+            farthest = np.abs(x) if x.ndim == 1 else np.abs(x).max(axis=tuple(range(x.ndim - 1)), initial=0)
+            doubt = ROUNDING * (farthest @ self._sizes[0] + self._sizes[1] + abs(tol)) + LEAST
+            inside = (excess <= 0).all(axis=-1)
+            if (np.abs(excess) > doubt).all():
+                return inside
+            unsure = (excess <= doubt).all(axis=-1) & (excess >= -doubt).any(axis=-1)
+            if not np.isfinite(doubt).all():
+                unsure = np.isfinite(x).all(axis=-1)
+        inside, limit = np.array(inside), binary(tol)
+        for which in np.argwhere(unsure):
+            inside[tuple(which)] = self._holds(binary(x[tuple(which)]), limit)
+        return inside if inside.ndim else np.bool_(inside)
+
+    def _holds(self, point, tol=0):
+        """Whether a point of fmpq satisfies H x <= h + tol."""
+        return all(rational.dot(a, point) <= b + tol for a, b in zip(*self.exact))
 
     @cached_property
     def _sizes(self):
@@ -473,9 +485,9 @@ class Polytope:
         require_kind(Q, Polytope, "Q")
         if Q.dimension != self.dimension:
             raise ValueError(f"P lies in R^{self.dimension} but Q in R^{Q.dimension}; inclusion needs one space")
-        if self._is_fat and self._plane.extent < np.inf:
+        if self._is_fat:
             found = self._plane
-            answer = inclusion(Q.H, Q.h, found.local, found.row, found.offset, found.unit, found.extent)
+            answer = inclusion(Q.H, Q.h, found.local, found.row, found.offset, found.unit)
             if not tol and answer.min(initial=1) < 0:
                 return False
             rows = np.flatnonzero(answer < 1)
@@ -530,12 +542,21 @@ class Polytope:
             raise ValueError("the polytope is unbounded; intersect it with a box before asking for vertices")
         if comb(len(self.h), n) > MOST_VERTEX_CANDIDATES:
             raise ValueError(f"{len(self.h)} rows in R^{n} are too many to enumerate vertices; use support()")
-        found = {}
-        for rows in self._candidates():
-            point = self._meeting(tuple(rows))[1]
-            if point is not None:
-                found[point] = [nearest(entry) for entry in point]
-        return _apart(np.array([*found.values()]))
+        return _apart(np.array([[nearest(entry) for entry in point] for point in self._meeting_points]))
+
+    @cached_property
+    def _meeting_points(self):
+        """The vertices over the rationals: tuples of n fmpq, each once, as the keys of a dict."""
+        points = (self._meeting(tuple(rows))[1] for rows in self._candidates())
+        return {point: None for point in points if point is not None}
+
+    @cached_property
+    def _local_corners(self):
+        """Those of the plane as floats, for x in units of 2^unit: array (v, 2)."""
+        two = [flint().fmpq(2) ** int(-e) for e in self._plane.unit]
+        return np.array(
+            [[nearest(entry * scale) for entry, scale in zip(point, two)] for point in self._meeting_points]
+        )
 
     def _candidates(self):
         """Subsets of n rows that may meet in a point of P: lists of int."""
@@ -685,7 +706,6 @@ class _Plane(NamedTuple):
     row: np.ndarray
     offset: np.ndarray
     unit: np.ndarray
-    extent: float
 
 
 def _float(value, rounding):
@@ -722,7 +742,7 @@ def _top(H, unit):
 
 def _direction(v, unit):
     """v for x in units of 2^unit, scaled by a power of two to entries below 1."""
-    return np.ldexp(v, unit - _top(v[None], unit)[0])
+    return in_units(np.ascontiguousarray(v, float), unit)
 
 
 def _normals(points):
