@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from . import rational
 from .balls import flint
 from .checks import positive_number, real_array, require_columns, require_kind, whole_number
-from .compiled import EMPTY, FAT, around, hull, in_units, inclusion, polygon
+from .compiled import EMPTY, FAT, around, hull, in_units, inclusion, membership, polygon
 from .errors import SolverError
 from .lp import LinearProgram
 from .rational import ExactOptimum, above, binary, nearest
@@ -66,6 +66,9 @@ class Polytope:
             raise ValueError(f"H has {len(H)} rows but h has {len(h)} entries; each row needs one offset")
         if not H.shape[1]:
             raise ValueError("H has no columns; a polytope needs at least one dimension")
+        if not H.flags.c_contiguous:  # the compiled functions know one layout
+            H = np.ascontiguousarray(H)
+            H.setflags(write=False)
         object.__setattr__(self, "H", H)
         object.__setattr__(self, "h", h)
 
@@ -448,29 +451,20 @@ class Polytope:
         """
         x = np.asarray(x, float)
         require_columns(x, self.dimension, "x", "the dimension of the polytope")
-        with np.errstate(all="ignore"):
-            excess = x @ self.H.T - (self.h + tol if tol else self.h)
-            farthest = np.abs(x) if x.ndim == 1 else np.abs(x).max(axis=tuple(range(x.ndim - 1)), initial=0)
-            doubt = ROUNDING * (farthest @ self._sizes[0] + self._sizes[1] + abs(tol)) + LEAST
-            inside = (excess <= 0).all(axis=-1)
-            if (np.abs(excess) > doubt).all():
-                return inside
-            unsure = (excess <= doubt).all(axis=-1) & (excess >= -doubt).any(axis=-1)
-            if not np.isfinite(doubt).all():
-                unsure = np.isfinite(x).all(axis=-1)
-        inside, limit = np.array(inside), binary(tol)
-        for which in np.argwhere(unsure):
-            inside[tuple(which)] = self._holds(binary(x[tuple(which)]), limit)
-        return inside if inside.ndim else np.bool_(inside)
+        rows = np.ascontiguousarray(x.reshape(-1, self.dimension))
+        answer = membership(rows, self.H, self.h, float(tol))
+        inside = answer > 0
+        for k in np.flatnonzero(answer == 0):
+            inside[k] = self._holds_floats(rows[k], tol)
+        return inside[0] if x.ndim == 1 else inside.reshape(x.shape[:-1])
+
+    def _holds_floats(self, x, tol):
+        """Whether a row of floats satisfies H x <= h + tol; False if one of them is not finite."""
+        return bool(np.isfinite(x).all()) and self._holds(binary(x), binary(tol))
 
     def _holds(self, point, tol=0):
         """Whether a point of fmpq satisfies H x <= h + tol."""
         return all(rational.dot(a, point) <= b + tol for a, b in zip(*self.exact))
-
-    @cached_property
-    def _sizes(self):
-        """|H|' and |h|."""
-        return np.abs(self.H).T, np.abs(self.h)
 
     def is_subset(self, Q, tol=0.0):
         """Whether P lies in Q, h_P(H_Q) <= h_Q, decided without rounding. An empty P lies in every Q.
