@@ -6,7 +6,7 @@ that scaling rounds nothing); what it cannot decide with certainty is decided ov
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, islice
 from math import comb
 from typing import NamedTuple
 
@@ -29,8 +29,10 @@ TURN = 1e-12  # points are no corners of a hull where its boundary turns by a sm
 ROUNDING = 2.0**-50  # covers what a sum of a few products rounds off, relative to the sizes of its terms
 LEAST = 2.0**-1060  # covers what products lose that are too small for full precision
 SINGULAR = 1e-8  # n rows of length about 1 whose determinant is below this meet where floats do not tell
-MOST_SINGULAR = 20_000  # of those that `vertices` is willing to look at over the rationals
-WIDE = np.pi - 1e-6  # between the normals of two neighbouring sides: they meet in a needle's tip
+CHUNK = 4_000_000  # numbers that `vertices` handles at a time
+MANY = 256  # rows in the plane up to which all vertices are computed when one is needed
+MOST_SINGULAR = 40_000  # of those that `vertices` is willing to look at over the rationals
+WIDE = np.pi - 1e-2  # between the normals of two neighbouring sides: they meet in a needle's tip
 MOST_VERTEX_CANDIDATES = 2_000_000  # subsets of rows that `vertices` is willing to try
 
 
@@ -270,7 +272,7 @@ class Polytope:
         require_columns(v, self.dimension, "v", "the dimension of the polytope")
         if not any(direction):
             return ExactOptimum(-np.inf, None) if self.point is None else ExactOptimum(direction[0], self.point)
-        if self._plane is not None:
+        if self._plane is not None and len(self.h) <= MANY:
             return self._highest_corner(v, direction)
         rows = self._tight(v)
         proven = self._at(rows, direction)
@@ -282,7 +284,7 @@ class Polytope:
         if self._is_fat:
             two, middle = flint().fmpq(2), binary(self._plane.local.mean(axis=0))
             return tuple(z * two ** int(e) for z, e in zip(middle, self._plane.unit))
-        if self._plane is not None:
+        if self._plane is not None and len(self.h) <= MANY:
             return next(iter(self._meeting_points), None)
         (H, h), (rows, found) = self.exact, self._asked(np.zeros(self.dimension))
         zero = [flint().fmpq(0)] * self.dimension
@@ -555,15 +557,25 @@ class Polytope:
     def _candidates(self):
         """Subsets of n rows that may meet in a point of P: lists of int."""
         row, offset, _ = self._scaled
-        number = np.flatnonzero((row != 0).any(axis=1))
-        subsets = np.array(list(combinations(number, self.dimension)))
-        volume = np.abs(np.linalg.det(row[subsets]))
-        singular = subsets[(volume <= SINGULAR) & (volume > 0)]
-        regular = subsets[volume > SINGULAR]
-        points = np.linalg.solve(row[regular], offset[regular][..., None])[..., 0]
-        terms = np.abs(points) @ np.abs(row).T + np.abs(offset)
-        inside = (points @ row.T - offset <= NEARLY * terms).all(axis=1)
-        return [*regular[inside].tolist(), *singular[:MOST_SINGULAR].tolist()]
+        size = np.abs(row)
+        number = np.flatnonzero(size.any(axis=1))
+        parallel = np.zeros((len(row), len(row)), bool)
+        if ((size > 0) == (self.H != 0)).all() and (size[size > 0] > LEAST).all():  # the scaled rows are not rounded
+            parallel = np.logical_or(*((row[:, None] == sign * row).all(axis=2) for sign in (1, -1)))
+        subsets, found, doubtful = combinations(number.tolist(), self.dimension), [], 0
+        while chunk := [*islice(subsets, CHUNK // len(row) + 1)]:
+            chunk = np.array(chunk)
+            for i, j in combinations(range(self.dimension), 2):
+                chunk = chunk[~parallel[chunk[:, i], chunk[:, j]]]
+            regular = np.abs(np.linalg.det(row[chunk])) > SINGULAR
+            points = np.linalg.solve(row[chunk[regular]], offset[chunk[regular]][..., None])[..., 0]
+            terms = np.abs(points) @ size.T + np.abs(offset)
+            inside = (points @ row.T - offset <= NEARLY * terms).all(axis=1)
+            found += [*chunk[regular][inside].tolist(), *chunk[~regular].tolist()]
+            doubtful += (~regular).sum()
+            if doubtful > MOST_SINGULAR:
+                raise ValueError(f"more than {MOST_SINGULAR} subsets of the rows are nearly singular; use support()")
+        return found
 
     def chebyshev(self):
         """Centre and radius of the largest ball in P: ((n,), float), to within rounding.
