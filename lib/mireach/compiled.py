@@ -11,7 +11,7 @@ from numba import njit
 EMPTY, DOUBTFUL, FAT = 0, 1, 2  # what `polygon` says of a set: see there
 ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
 LEAST = 1e-290  # covers what they lose where numbers are too small for a float's full precision
-NEEDLE = 1e-5  # two rows of length about 1 meet well if their determinant is at least this
+NEEDLE = 1e-3  # two rows of length about 1 meet well if their determinant is at least this
 
 
 @njit(cache=True)
@@ -84,8 +84,8 @@ def polygon(H, h, parallel, tol):
     -------
     kind : int
         FAT: the set is bounded and has an interior, both certainly, and the vertices are sharp. DOUBTFUL: it may be
-        flat, empty, a needle, or far from the origin for its size. EMPTY: there are no vertices, because the set is
-        empty, perhaps unbounded, or in doubt.
+        flat, empty, a needle, or far from the origin for its size, or vertices are taken for one that may be two.
+        EMPTY: there are no vertices, because the set is empty, perhaps unbounded, or in doubt.
     corners : array (v, 2)
         Counter-clockwise.
     local, row, offset, unit : arrays (v, 2), (l, 2), (l,) and (2,) of int
@@ -161,7 +161,7 @@ def _corners(row, offset, parallel, tol):
         for j in range(2):
             far[j] = max(far[j], abs(found[k, j]))
             least[j], most[j] = min(least[j], found[k, j]), max(most[j], found[k, j])
-    size = max(far[0], far[1])
+    size, apart = max(far[0], far[1]), 0.0
     for k in range(count):
         other = 0
         while other < distinct and max(abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1])) > (
@@ -170,11 +170,14 @@ def _corners(row, offset, parallel, tol):
             other += 1
         if other < distinct:
             sine[other] = max(sine[other], sine[k])
+            apart = max(apart, abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1]))
         else:
             found[distinct], sine[distinct] = found[k], sine[k]
             distinct += 1
     local = around(found[:distinct])
-    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any():
+    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any() or size > 2.0**64:
+        return DOUBTFUL, local, far
+    if apart > 2.0**-44 * size:
         return DOUBTFUL, local, far
     x, y = local[:, 0].mean(), local[:, 1].mean()
     for r in range(rows):

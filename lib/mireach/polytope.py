@@ -304,11 +304,11 @@ class Polytope:
         corners = [*self._meeting_points]
         if not corners:
             return ExactOptimum(-np.inf, None)
-        v = _direction(v, self._plane.unit)
-        heights = self._local_corners @ v
-        margin = ROUNDING * np.abs(self._local_corners).max() + LEAST  # no entry of v exceeds 1
-        ahead = np.flatnonzero(heights >= heights.max() - 4 * margin)
-        value, k = max((rational.dot(direction, corners[k]), -k) for k in ahead.tolist())
+        ahead, size = range(len(corners)), np.abs(self._local_corners).max()
+        if all(1e-290 < abs(entry) < 1e290 or not exact for entry, exact in zip(v, direction)) and size < np.inf:
+            heights = self._local_corners @ _direction(v, self._plane.unit)  # no entry of the direction exceeds 1
+            ahead = np.flatnonzero(heights >= heights.max() - 8 * ROUNDING * size - LEAST).tolist()
+        value, k = max((rational.dot(direction, corners[k]), -k) for k in ahead)
         return ExactOptimum(value, corners[-k])
 
     def _at(self, rows, direction):
@@ -538,7 +538,10 @@ class Polytope:
             raise ValueError("the polytope is unbounded; intersect it with a box before asking for vertices")
         if comb(len(self.h), n) > MOST_VERTEX_CANDIDATES:
             raise ValueError(f"{len(self.h)} rows in R^{n} are too many to enumerate vertices; use support()")
-        return _apart(np.array([[nearest(entry) for entry in point] for point in self._meeting_points]))
+        points = np.array([[nearest(entry) for entry in point] for point in self._meeting_points])
+        if not np.isfinite(points).all():
+            raise ValueError("a vertex lies beyond the largest float; choose another unit, or use exact_maximum()")
+        return _apart(points)
 
     @cached_property
     def _meeting_points(self):
