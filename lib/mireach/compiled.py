@@ -267,7 +267,7 @@ def inclusion(V, w, local, row, offset, unit):
     """Whether v x <= w holds in a FAT set of the plane, for each row v of V: array (k,) of 1, of -1 if not, 0 in doubt.
 
     1 is proven by weak duality, -1 by a point inside the set that is beyond the row, both with their rounding counted.
-    `local`, `row`, `offset`, `unit` are what `polygon` returns.
+    `local`, `row`, `offset`, `unit` are what `polygon` returns. The least of the answers comes first; 1 for no rows.
     """
     answer, extent = np.zeros(len(w), np.int64), _extent(local, row, offset)
     x, y = local[:, 0].mean(), local[:, 1].mean()
@@ -298,7 +298,7 @@ def inclusion(V, w, local, row, offset, unit):
             if inside:
                 answer[k] = -1
                 break
-    return answer
+    return (answer.min() if len(w) else 1), answer
 
 
 @njit(cache=True)
