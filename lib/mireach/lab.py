@@ -11,13 +11,13 @@ from time import perf_counter
 
 import numpy as np
 
-from .case_studies import CaseStudy, case_study, data_file, double_integrator_fit
+from .case_studies import CaseStudy, case_study, double_integrator_fit
 from .checks import require_kind
 from .invariance import SafeSet, TerminalSet, safe_set, terminal_set
 from .loop import ClosedLoop
 from .planar import maximal_safe_set
 from .polytope import Polytope, directions
-from .seeds import load_networks, load_rows
+from .seeds import load_study
 from .system import NonlinearSystem
 
 OWN = "own"  # name of a network that is not one of the seed study
@@ -552,7 +552,7 @@ def _controls(X, safe_directions, start):
 
 def _networks(case):
     """Some networks of a case by name, from the seed study, and the control that chooses among them."""
-    rows, trained = load_rows(data_file(case.name, "seeds.csv")), load_networks(case.name)
+    rows, trained = load_study(case.name)
     shipped, given = case_study(case.name).network.to_dict(), case.network.to_dict()
     by_loss = sorted(rows, key=lambda row: row.loss)
     proven = [row for row in by_loss if row.verdict == "proven"]

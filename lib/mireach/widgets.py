@@ -11,6 +11,7 @@ import traitlets
 from matplotlib.figure import Figure
 
 from .errors import MireachError
+from .files import write_whole
 from .lab import (
     largest_amount,
     look,
@@ -138,7 +139,7 @@ class DisturbanceLab(anywidget.AnyWidget):
         path = Path(path)
         if path.suffix not in kinds:
             raise ValueError(f"the name of the file must end in {', '.join(kinds)}; got {path.name!r}")
-        path.write_text(self._text(kinds[path.suffix]), encoding="utf-8")
+        write_whole(path, self._text(kinds[path.suffix]))
 
     @traitlets.validate("settings")
     def _settle(self, proposal):
