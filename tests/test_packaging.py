@@ -38,6 +38,79 @@ for name in ("pwa", "double_integrator"):
     }
 
 
+COMPILE = """
+import mireach
+import numpy as np
+from mireach.compiled import _most  # the smallest of the compiled functions
+assert _most(np.array([0, 3, 8])) == 5
+print(mireach.__file__)
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A copy of the package, and an environment that imports it and has no home."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "lib" / "mireach", tmp_path / "site" / "mireach", ignore=ignored)
+    (tmp_path / "file").touch()
+    (tmp_path / "tmp").mkdir()
+    nowhere = str(tmp_path / "file" / "below")  # cannot be made, by no user
+    environment = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "USERPROFILE"), nowhere)
+    environment |= {"PYTHONPATH": str(tmp_path / "site"), "TMPDIR": str(tmp_path / "tmp")}
+    return tmp_path / "site" / "mireach", tmp_path / "tmp", {**os.environ, **environment}
+
+
+def run_compiled(package, before=""):
+    """Import the copy, compute with it, and see that it says nothing else."""
+    folder, _, environment = package
+    command = [sys.executable, "-c", before + COMPILE]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(folder / "__init__.py") and not done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the temporary folder of Windows belongs to its user")
+@pytest.mark.parametrize("foreign", [None, "file", "open", "link"])
+def test_package_works_where_neither_its_folder_nor_the_home_can_be_written(package, foreign):
+    folder, temporary, _ = package
+    (folder / "__pycache__").touch()  # a file, in which no user can write compiled code
+    private = temporary / f"mireach-{os.getuid()}"
+    if foreign == "file":
+        private.touch()
+    elif foreign == "link":
+        (temporary / "elsewhere").mkdir(mode=0o700)
+        private.symlink_to(temporary / "elsewhere")
+    elif foreign == "open":
+        private.mkdir()
+        private.chmod(0o777)
+    run_compiled(package)
+    assert (folder / "__pycache__").is_file()
+    assert bool([*private.rglob("*.nbc"), *temporary.rglob("*.nbc")]) == (foreign is None)
+    if foreign is None:
+        assert private.stat().st_mode & 0o777 == 0o700
+        run_compiled(package)
+
+
+def test_package_works_where_compiled_code_cannot_be_kept_or_read(package):
+    pytest.importorskip("resource")  # a limit of the size of files stands for a full disk
+    limit = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+    run_compiled(package, f"{limit}resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))\n")
+    kept = package[0] / "__pycache__"
+    assert not list(kept.glob("*.nbc"))
+    run_compiled(package)
+    files = [*kept.glob("*.nbi"), *kept.glob("*.nbc")]
+    assert files
+    for file in files:
+        file.write_bytes(file.read_bytes()[:60])
+    run_compiled(package)
+
+
+def test_import_says_nothing_and_brings_no_heavy_parts():
+    script = f"import mireach, sys; print([name for name in {HEAVY!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-W", "error", "-c", script], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
 def test_the_readme_s_example_runs_and_its_files_exist(capsys):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
