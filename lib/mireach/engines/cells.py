@@ -13,7 +13,6 @@ from math import inf, nextafter
 import numpy as np
 
 from ..compiled import affine_pieces, highest, parts, sharp_pairs
-from ..loop import require_inputs
 from ..lp import LinearProgram
 from ..polygons import Polygons
 from ..polytope import Polytope, box_directions
@@ -33,7 +32,7 @@ MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """The half-planes of x beyond which the state or a mode ends: rows H x <= h of X and of regions, as decimals.
+    """The half-planes of x beyond which the state or a mode ends: rows H x <= h of X and of regions.
 
     Attributes
     ----------
@@ -185,8 +184,7 @@ def cells(loop):
     Raises
     ------
     ValueError
-        If the loop has not two states, or Phi leaves U somewhere in X (checked at every vertex, which
-        for an affine piece decides it).
+        If the loop has not two states.
     """
     return dynamics(loop).cells
 
@@ -203,7 +201,7 @@ def dynamics(loop):
     if loop.system.state_size != 2:
         raise ValueError(f'the cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
     system = loop.system
-    found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set, system.input_set)
+    found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set)
     A, B, p = (maps[found.mode] for maps in system.maps)
     M, c = A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p
     known = {mode.disturbance: _corners(mode.disturbance) for mode in system.modes}
@@ -299,11 +297,14 @@ def support(loop, F, V, steps=1, *, known=None):
 
 
 @lru_cache(maxsize=128)
-def _cells(network, regions, state_set, input_set):
-    """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u).
+def _cells(network, regions, state_set):
+    """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u)."""
+    return _cut_by_inputs(_before_inputs(network, regions, state_set), regions)
 
-    Raises ValueError if the network leaves U at a vertex of them.
-    """
+
+@lru_cache(maxsize=128)
+def _before_inputs(network, regions, state_set):
+    """The Cells before they are cut by those rows of regions that involve u: they cover X for every mode."""
     domains, modes, walls = _domains(regions, state_set)
     size = _size(domains.points)
     layers = [(layer.weight, layer.bias, layer.pool) for layer in network.hidden] + [(network.weight, network.bias, 1)]
@@ -322,13 +323,37 @@ def _cells(network, regions, state_set, input_set):
     sizes, owner, cuts = shape.T
     polygons = Polygons(points, np.concatenate([[0], np.cumsum(sizes)]))
     K, g, error = np.split(values.reshape(len(values), -1, 4), [2, 3], axis=2)
-    found = Cells(polygons, modes[owner], K.copy(), g[..., 0].copy(), error[..., 0].copy(), cuts, walls)
-    found = _cut_by_inputs(found, regions)
+    return Cells(polygons, modes[owner], K.copy(), g[..., 0].copy(), error[..., 0].copy(), cuts, walls)
+
+
+def input_excess(network, regions, X, U):
+    """By how much Phi may leave U over X, in the units of U.h.
+
+    Parameters
+    ----------
+    network : MaxoutNetwork
+        With two inputs.
+    regions : tuple of Polytope
+    X, U : Polytope
+
+    Returns
+    -------
+    most : float
+        max U.H Phi(x) - U.h over all x of X and all rows is at most this, rounding counted.
+    excess : float
+        The largest value that was found, up to rounding.
+    x : array (2,)
+        Where it was found.
+    """
+    found = _before_inputs(network, regions, X)
     points, owner = found.polygons.points, found.polygons.owner
     inputs = np.einsum("tij,tj->ti", found.K[owner], points) + found.g[owner]
-    worst = np.argmax((inputs @ input_set.H.T - input_set.h).max(axis=1))
-    require_inputs(network, input_set, points[[worst]])
-    return found
+    excess = inputs @ U.H.T - U.h
+    extent = (np.abs(found.K).sum(axis=2) * found.size + np.abs(found.g)) @ np.abs(U.H).T + np.abs(U.h)
+    error = found.error @ np.abs(U.H).T + 4 * CORNER * (extent + np.abs(U.H).sum(axis=1))
+    error += np.abs(np.einsum("rm,nmi->nri", U.H, found.K)).sum(axis=2) * (found.cuts * CORNER * found.size)[:, None]
+    worst, _ = np.unravel_index(np.argmax(excess), excess.shape)
+    return float((excess + error[owner]).max()), float(excess.max()), points[worst]
 
 
 @lru_cache(maxsize=32)
@@ -347,7 +372,7 @@ def _domains(regions, state_set):
 
 
 def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
-    """The corners of {x in P : H x <= h} for a bounded Polytope P, numbers being decimals: array (v, 2).
+    """The corners of {x in P : H x <= h} for a bounded Polytope P: array (v, 2).
 
     They are off by no more than the rounding that `SHAPED` cuts count for, or further out where a tip is sharp.
     """
@@ -356,7 +381,7 @@ def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
     corner, touch = CORNER * size, TOUCH * size
     start, around = P.vertices(), Polytope.box(*(box + np.array([[-1.0], [1.0]]))).vertices()
     both = Polytope(np.vstack([P.H, H]), np.concatenate([P.h, h]))
-    rows = _blunted(both, nowhere, size, decimal=True)
+    rows = _blunted(both, nowhere, size)
     if len(rows[1]) > len(both.h):
         return _part(around, *rows, SHAPED * corner, touch)
     careful = _part(around, P.H, P.h, np.full(len(P.h), -1), 4 * corner, touch)
@@ -458,20 +483,19 @@ def _highest(every, F, rows, chosen):
     return highest(*asked, every.M, every.c, every.error, rows.spread, rows.heights, rows.tops, rows.V, chosen)
 
 
-def _blunted(F, walls, size, decimal=False):
+def _blunted(F, walls, size):
     """The rows of F, and one across every sharp tip that they make with each other or with a wall.
 
-    Returns H, h and the mode (-1 for all) to which each row belongs. With `decimal` the numbers of F are decimals
-    like those of the walls; else they are the floats they are.
+    Returns H, h and the mode (-1 for all) to which each row belongs.
     """
     pairs, count = sharp_pairs(F.H, F.h, walls.H, walls.h, size, PARALLEL, SHARP), len(F.h)
     only, tips = np.full(count, -1), []
     for r, s in pairs:
-        first = _exact_row(F.H[r], F.h[r], decimal)
+        first = _exact_row(F.H[r], F.h[r])
         if s < count:
-            second, mode = _exact_row(F.H[s], F.h[s], decimal), -1
+            second, mode = _exact_row(F.H[s], F.h[s]), -1
         else:
-            second, mode = _exact_row(walls.H[s - count], walls.h[s - count], True), walls.mode[s - count]
+            second, mode = _exact_row(walls.H[s - count], walls.h[s - count]), walls.mode[s - count]
         tips.append((*_across(F.H[r], first, second), mode))
     if not tips:
         return F.H, F.h, only
@@ -480,9 +504,9 @@ def _blunted(F, walls, size, decimal=False):
     return blunt.H, blunt.h, np.append(only, [mode for _, _, mode in tips])
 
 
-def _exact_row(a, b, decimal):
+def _exact_row(a, b):
     """A half-plane a x <= b as three Fractions."""
-    return [Fraction(repr(value)) if decimal else Fraction(value) for value in (*a.tolist(), float(b))]
+    return [Fraction(value) for value in (*a.tolist(), float(b))]
 
 
 def _across(normal, first, second):

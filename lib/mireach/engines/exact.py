@@ -1,13 +1,10 @@
 """The cells of a closed loop in the plane in rational arithmetic: no rounding, so an answer is a proof.
 
-What the numbers mean: data of the plant (A, B, p, regions, X, disturbance sets) are the decimals that are
-written, 0.1 is one tenth; weights of the network, templates and corners of pieces are the floats they are.
-Rationals are python-flint's `fmpq`. A polygon is a list of its corners, in order around it and none of them
-superfluous; one corner is a point, two are a segment.
+Every number is the float that it is (`rational`). A polygon is a list of its corners, in order around it and none
+of them superfluous; one corner is a point, two are a segment.
 """
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
 
@@ -15,8 +12,9 @@ import numpy as np
 
 from ..balls import flint
 from ..polytope import Polytope
-from . import cells as float_cells
-from .common import Support, checked_query, empty_support, replay
+from ..rational import above, binary, dot, fractions, maximize, nearest
+from .common import EXACT, Lazily, Support, checked_query, empty_support, replay
+from .steps import Escape, Step, with_bias
 
 AROUND = 2.0**-40  # boxes that sort out what cannot meet are this much larger (relative), for they are floats
 MOST_PARTS = 10_000  # parts that the rest of one image may fall into while it is compared with a region
@@ -42,32 +40,6 @@ class ExactCell:
     def image(self, x):
         """M x + c."""
         return tuple(row[0] * x[0] + row[1] * x[1] + offset for row, offset in zip(self.M, self.c))
-
-
-@dataclass(frozen=True)
-class Escape:
-    """A step that leads out of a set, in rational numbers; `successor` replays it.
-
-    Attributes
-    ----------
-    state, disturbance, after : pair of Fraction
-        A state of the set, a disturbance of the mode's set, and where they lead: outside the set.
-        The last two are None where the state itself has no successor.
-    mode : int or None
-        Counted from 0.
-    """
-
-    state: tuple
-    mode: int | None = None
-    disturbance: tuple | None = None
-    after: tuple | None = None
-
-    def __str__(self):
-        x = [round(float(value), 6) for value in self.state]
-        if self.after is None:
-            return f"x = {x} has no successor: it lies outside the state set, or no region contains it with its input"
-        d, after = ([round(float(value), 6) for value in pair] for pair in (self.disturbance, self.after))
-        return f"x = {x}, mode {self.mode + 1}, d = {d} -> {after}"
 
 
 def support(loop, F, V, steps=1):
@@ -96,29 +68,41 @@ def support(loop, F, V, steps=1):
     V, steps = checked_query(loop, F, V, steps)
     if steps != 1:
         raise ValueError(f'the exact engine takes one step; got steps = {steps}; use engine="cells"')
-    rows = [(binary(a), binary(b)) for a, b in zip(F.H.tolist(), F.h.tolist())]
+    best = farthest_steps(loop, F, V)
+    if best is None:
+        return empty_support(len(V), EXACT)
+    value, bound = (np.array([rounded(step.value) for step in best]) for rounded in (nearest, above))
+
+    def witness(k):
+        x, d = ([nearest(entry) for entry in part] for part in (best[k].state, best[k].disturbance))
+        return replay(loop, np.array(x), [best[k].mode], [np.array(d)])
+
+    return Support(value, bound, Lazily(len(V), witness), rests_on=EXACT)
+
+
+def farthest_steps(loop, F, V):
+    """The Step from F that goes farthest along each row of V: list, or None if F does not meet X."""
+    rows = _rows(F)
     every, spread, parts = cells(loop), disturbances(loop), {}
     heights, near, best = _heights(loop, V), _near(loop, F), []
     for k, v in enumerate(map(binary, V.tolist())):
-        farthest = [max(corners, key=lambda d: _dot(v, d)) for corners in spread]
+        farthest = [max(corners, key=lambda d: dot(v, d)) for corners in spread]
         found = None
         for j in near[np.argsort(-heights[near, k], kind="stable")].tolist():
-            if found is not None and heights[j, k] < _nearest(found[0]):  # nor do the cells that follow reach higher
+            if found is not None and heights[j, k] < nearest(found[0]):  # nor do the cells that follow reach higher
                 break
             if j not in parts:
                 parts[j] = _clip_all(every[j].corners, rows)
             d = farthest[every[j].mode]
             for x in parts[j]:
-                value = _dot(v, every[j].image(x)) + _dot(v, d)
+                value = dot(v, every[j].image(x)) + dot(v, d)
                 if found is None or value > found[0]:
-                    found = (value, every[j].mode, x, d)
+                    found = (value, x, j, d)
         if found is None:
-            return empty_support(len(V))
-        best.append(found)
-    value, bound = (np.array([rounded(found[0]) for found in best]) for rounded in (_nearest, _above))
-    floats = [[np.array([_nearest(entry) for entry in pair]) for pair in found[2:]] for found in best]
-    witness = tuple(replay(loop, x, [found[1]], [d]) for found, (x, d) in zip(best, floats))
-    return Support(value, bound, witness)
+            return None
+        value, x, j, d = found
+        best.append(Step(value, x, every[j].mode, d, tuple(zip(*_sides(every[j].corners), *rows))))
+    return best
 
 
 def first_escape(loop, pieces):
@@ -151,17 +135,17 @@ def first_escape(loop, pieces):
     """
     flint()
     hulls = [_hull([binary(corner) for corner in piece]) for piece in pieces]
-    limits = _decimal_rows(loop.system.state_set)
+    limits = _rows(loop.system.state_set)
     for corners in hulls:
         for x in corners:
-            if any(_dot(a, x) > b for a, b in limits):
-                return Escape(_fractions(x))
+            if any(dot(a, x) > b for a, b in limits):
+                return Escape(fractions(x))
     every = cells(loop)
     around = [(_sides(cell.corners), _box(cell.corners)) for cell in every]
     for corners in hulls:
         gap = _less(corners, around)
         if gap:
-            return Escape(_fractions(_middle(gap)))
+            return Escape(fractions(_middle(gap)))
     sides, boxes = [_sides(corners) for corners in hulls], np.array([_box(corners) for corners in hulls])
     others = list(zip(sides, boxes.tolist()))
     spread = disturbances(loop)
@@ -188,21 +172,6 @@ def first_escape(loop, pieces):
     return None
 
 
-def successor(loop, state, mode, disturbance):
-    """A x + B Phi(x) + p + d of a mode for rational x and d: pair of Fraction."""
-    q = flint().fmpq
-    x, d = (
-        [q(Fraction(entry).numerator, Fraction(entry).denominator) for entry in pair] for pair in (state, disturbance)
-    )
-    y = x
-    for layer in loop.network.hidden:
-        z = [_dot(binary(row), y) + binary(b) for row, b in zip(layer.weight.tolist(), layer.bias.tolist())]
-        y = [max(z[i : i + layer.pool]) for i in range(0, len(z), layer.pool)]
-    u = [_dot(binary(row), y) + binary(b) for row, b in zip(loop.network.weight.tolist(), loop.network.bias.tolist())]
-    A, B, p = (decimal(getattr(loop.system.modes[mode], name).tolist()) for name in "ABp")
-    return _fractions([_dot(A[i], x) + _dot(B[i], u) + p[i] + d[i] for i in range(2)])
-
-
 def growth(C, before, h, centre):
     """The largest alpha with c + alpha (R - c) in R_before, R = {x : C x <= h}, without rounding (eq. StabCondFmin).
 
@@ -213,63 +182,20 @@ def growth(C, before, h, centre):
     before, h : array (l,)
         Offsets of R_before and R.
     centre : array (2,)
-        c, decimals.
+        c.
 
     Returns
     -------
     Fraction or None
         None if c is not inside R.
     """
-    rows = [(binary(a), binary(b)) for a, b in zip(np.asarray(C).tolist(), h.tolist())]
-    corners, c = _bounded(Polytope(C, h), rows), decimal(list(centre))
-    shares = []
-    for (a, _), limit in zip(rows, before.tolist()):
-        size = max((_dot(a, x) for x in corners), default=_dot(a, c)) - _dot(a, c)
+    corners, c, shares = _polygon(Polytope(C, h)), binary(list(centre)), []
+    for a, limit in zip(binary(np.asarray(C).tolist()), before.tolist()):
+        size = max((dot(a, x) for x in corners), default=dot(a, c)) - dot(a, c)
         if size <= 0:
             return None
-        shares.append((binary(limit) - _dot(a, c)) / size)
-    return _fractions([min(shares)])[0]
-
-
-# -- numbers ------------------------------------------------------------------------------------------
-
-
-def binary(value):
-    """A float as the binary fraction that it is; lists are taken entry by entry."""
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return tuple(binary(entry) for entry in value)
-    return flint().fmpq(*float(value).as_integer_ratio())
-
-
-def decimal(value):
-    """A float as the shortest decimal that reads back to it; lists are taken entry by entry."""
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return tuple(decimal(entry) for entry in value)
-    written = Fraction(repr(float(value)))
-    return flint().fmpq(written.numerator, written.denominator)
-
-
-def _fractions(pair):
-    """Several fmpq as Fractions of the standard library."""
-    return tuple(Fraction(int(value.p), int(value.q)) for value in pair)
-
-
-def _nearest(value):
-    """The float nearest to an fmpq."""
-    return int(value.p) / int(value.q)
-
-
-def _above(value):
-    """The smallest float that is not below an fmpq."""
-    near = _nearest(value)
-    return near if binary(near) >= value else float(np.nextafter(near, np.inf))
-
-
-def _dot(a, b):
-    total = a[0] * b[0]
-    for left, right in zip(a[1:], b[1:]):
-        total += left * right
-    return total
+        shares.append((binary(limit) - dot(a, c)) / size)
+    return fractions([min(shares)])[0]
 
 
 # -- polygons -----------------------------------------------------------------------------------------
@@ -277,7 +203,7 @@ def _dot(a, b):
 
 def _clip(corners, a, b):
     """The part of a polygon with a x <= b."""
-    excess = [_dot(a, x) - b for x in corners]
+    excess = [dot(a, x) - b for x in corners]
     if all(value <= 0 for value in excess):
         return corners
     kept = []
@@ -329,12 +255,12 @@ def _sides(corners):
     if len(corners) == 1:
         one, none = flint().fmpq(1), flint().fmpq(0)
         normals = [(one, none), (none, one), (-one, none), (none, -one)]
-        return [(a, _dot(a, x)) for a in normals]
+        return [(a, dot(a, x)) for a in normals]
     ahead = [(y[0] - x[0], y[1] - x[1]) for x, y in zip(corners, corners[1:] + corners[:1])]
     rows = [((t[1], -t[0]), x) for t, x in zip(ahead, corners)]
     if len(corners) == 2:
         rows += [(t, y) for t, y in zip(ahead, corners[::-1])]
-    return [(a, _dot(a, x)) for a, x in rows]
+    return [(a, dot(a, x)) for a, x in rows]
 
 
 def _less(corners, others):
@@ -361,7 +287,7 @@ def _less_one(part, sides):
     dimension, outside = min(len(part), 3), []
     inside = part
     for a, b in sides:
-        beyond = [_dot(a, x) > b for x in inside]
+        beyond = [dot(a, x) > b for x in inside]
         if any(beyond):
             outside.append(_clip(inside, tuple(-entry for entry in a), -b))
             inside = _clip(inside, a, b)
@@ -377,7 +303,7 @@ def _middle(corners):
 
 def _box(corners):
     """A box (left, bottom, right, top) in floats that certainly holds the polygon."""
-    x, y = [_nearest(point[0]) for point in corners], [_nearest(point[1]) for point in corners]
+    x, y = [nearest(point[0]) for point in corners], [nearest(point[1]) for point in corners]
     around = AROUND * (1 + max(abs(min(x)), abs(max(x)), abs(min(y)), abs(max(y))))
     return min(x) - around, min(y) - around, max(x) + around, max(y) + around
 
@@ -399,7 +325,7 @@ def _escape(mode, image, ends, rest):
         tuple(sum((share * ends[corner][which][i] for corner, share in shares), flint().fmpq(0)) for i in range(2))
         for which in (0, 1)
     )
-    return Escape(_fractions(state), mode, _fractions(disturbance), _fractions(y))
+    return Escape(fractions(state), mode, fractions(disturbance), fractions(y))
 
 
 def _shares(corners, y):
@@ -409,7 +335,7 @@ def _shares(corners, y):
         return [(first, flint().fmpq(1))]
     if len(corners) == 2:
         along = [b - a for a, b in zip(*corners)]
-        share = _dot(along, [b - a for a, b in zip(first, y)]) / _dot(along, along)
+        share = dot(along, [b - a for a, b in zip(first, y)]) / dot(along, along)
         return [(first, 1 - share), (corners[1], share)]
     for second, third in pairwise(corners[1:]):
         whole = _turn(first, second, third)
@@ -429,15 +355,16 @@ def cells(loop):
     Raises
     ------
     ValueError
-        If the loop has not two states, or Phi leaves U.
+        If the loop has not two states.
     """
-    float_cells.cells(loop)  # its checks
+    if loop.system.state_size != 2:
+        raise ValueError(f'the exact cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
     found, X = [], _polygon(loop.system.state_set)
-    pieces = list(_affine_pieces(loop.network, X))
+    pieces = _affine_pieces(loop.network, loop.system.state_set)
     boxes = np.array([_box(corners) for corners, _, _ in pieces])
     for number, mode in enumerate(loop.system.modes):
-        A, B, p = (decimal(getattr(mode, name).tolist()) for name in "ABp")
-        rows = _decimal_rows(mode.region)
+        A, B, p = (binary(getattr(mode, name).tolist()) for name in "ABp")
+        rows = _rows(mode.region)
         of_x = [(a[:2], b) for a, b in rows if not any(a[2:])]
         domain = _clip_all(X, of_x)
         for i in np.flatnonzero(_meeting(boxes, np.array(_box(domain)))) if domain else ():
@@ -447,11 +374,11 @@ def cells(loop):
                 continue
             for a, b in rows:
                 if any(a[2:]) and corners:
-                    of_u = tuple(_dot(a[2:], [row[i] for row in K]) for i in range(2))
-                    corners = _clip(corners, (a[0] + of_u[0], a[1] + of_u[1]), b - _dot(a[2:], g))
+                    of_u = tuple(dot(a[2:], [row[i] for row in K]) for i in range(2))
+                    corners = _clip(corners, (a[0] + of_u[0], a[1] + of_u[1]), b - dot(a[2:], g))
             if corners:
-                M = tuple(tuple(A[i][j] + _dot(B[i], [row[j] for row in K]) for j in range(2)) for i in range(2))
-                c = tuple(_dot(B[i], g) + p[i] for i in range(2))
+                M = tuple(tuple(A[i][j] + dot(B[i], [row[j] for row in K]) for j in range(2)) for i in range(2))
+                c = tuple(dot(B[i], g) + p[i] for i in range(2))
                 found.append(ExactCell(corners, number, M, c))
     return tuple(found)
 
@@ -460,7 +387,8 @@ def _heights(loop, V):
     """Floats above v x+ for all x of each whole cell and all d, for the rows v of V: array (cells, k)."""
     _, images, starts = _floats(loop)
     modes = [cell.mode for cell in cells(loop)]
-    spread = np.array([mode.disturbance.support(V) for mode in loop.system.modes])[modes]
+    corners = [np.array([[nearest(entry) for entry in d] for d in one]) for one in disturbances(loop)]
+    spread = np.array([(V @ ends.T).max(axis=1) for ends in corners])[modes]
     around = AROUND * (1 + np.abs(images).max(initial=0.0) + np.abs(spread).max()) * (1 + np.abs(V).sum(axis=1))
     return np.maximum.reduceat(images @ V.T, starts) + spread + around
 
@@ -476,7 +404,7 @@ def _near(loop, F):
 def _floats(loop):
     """The corners of all cells and M x + c in them as floats, (T, 2) each, and where each cell's begin (cells,)."""
     corners, images = (
-        [[[_nearest(entry) for entry in pair] for pair in pairs] for pairs in found]
+        [[[nearest(entry) for entry in pair] for pair in pairs] for pairs in found]
         for found in zip(*((cell.corners, map(cell.image, cell.corners)) for cell in cells(loop)))
     )
     return np.concatenate(corners), np.concatenate(images), np.cumsum([0, *map(len, corners[:-1])])
@@ -488,39 +416,53 @@ def disturbances(loop):
     Raises
     ------
     ValueError
-        If the decimals of a set have no point in common.
+        If a set is empty without rounding.
     """
     found = {}
     for number, mode in enumerate(loop.system.modes, start=1):
         if mode.disturbance not in found:
             found[mode.disturbance] = _polygon(mode.disturbance)
         if not found[mode.disturbance]:
-            raise ValueError(f"the disturbance set of mode {number} is empty if its numbers are read as decimals")
+            raise ValueError(f"the disturbance set of mode {number} is empty in rational arithmetic")
     return [found[mode.disturbance] for mode in loop.system.modes]
 
 
-def _decimal_rows(P):
-    return list(zip(decimal(P.H.tolist()), decimal(P.h.tolist())))
+def _rows(P):
+    """The half-planes (a, b) of a Polytope."""
+    return list(zip(binary(P.H.tolist()), binary(P.h.tolist())))
 
 
 def _polygon(P):
-    """The corners of a bounded Polytope whose numbers are decimals."""
-    return _bounded(P, _decimal_rows(P))
+    """The corners of a bounded Polytope of the plane; none if it is empty."""
+    rows, one, zero = _rows(P), flint().fmpq(1), flint().fmpq(0)
+    H, h = zip(*rows)
+    ends = [maximize(H, h, v).value for v in ((one, zero), (zero, one), (-one, zero), (zero, -one))]
+    if any(isinstance(end, float) for end in ends):  # -inf: P is empty
+        return []
+    right, top, left, bottom = ends[0], ends[1], -ends[2], -ends[3]
+    return _clip_all(_hull([(left, bottom), (right, bottom), (right, top), (left, top)]), rows)
 
 
-def _bounded(P, rows):
-    """The corners of a bounded Polytope whose rows are (a, b) without rounding."""
-    lower, upper = P.bounding_box()
-    (left, bottom), (right, top) = decimal((lower - 1).tolist()), decimal((upper + 1).tolist())
-    return _clip_all([(left, bottom), (right, bottom), (right, top), (left, top)], rows)
+def highest_inputs(network, X, V):
+    """max v Phi(x) over x in X for the rows v of V, without rounding: (fmpq, x) of each, x being a pair of fmpq."""
+    best = [None] * len(V)
+    for corners, K, g in _affine_pieces(network, X):
+        for x in corners:
+            u = [dot(row, x) + offset for row, offset in zip(K, g)]
+            for k, v in enumerate(V):
+                value = dot(v, u)
+                if best[k] is None or value > best[k][0]:
+                    best[k] = value, x
+    return best
 
 
-def _affine_pieces(network, domain):
-    """Polygons that cover the domain, each with K (m pairs) and g (m numbers) of Phi = K x + g on it."""
+@lru_cache(maxsize=32)
+def _affine_pieces(network, X):
+    """Polygons that cover X, each with K (m pairs) and g (m numbers) of Phi = K x + g on it: list of triples."""
     matrix = flint().fmpq_mat
-    pieces = [(domain, matrix(3, 3, [1, 0, 0, 0, 1, 0, 0, 0, 1]))]  # rows (K, g) of the last layer, below them 1
+    pieces = [(_polygon(X), matrix(3, 3, [1, 0, 0, 0, 1, 0, 0, 0, 1]))]  # rows (K, g) of the last layer, below them 1
     for layer in network.hidden:
-        weight, following = _with_bias(layer.weight, layer.bias), []
+        weight, following = with_bias(layer.weight, layer.bias), []
         for corners, affine in pieces:
             channels = (weight * affine).tolist()
             parts = [(corners, [])]
@@ -529,16 +471,11 @@ def _affine_pieces(network, domain):
                 parts = [(part, [*won, *neuron[j]]) for whole, won in parts for part, j in _by_winner(whole, neuron)]
             following += [(part, matrix(layer.width + 1, 3, [*won, 0, 0, 1])) for part, won in parts]
         pieces = following
-    weight = _with_bias(network.weight, network.bias)
+    weight, found = with_bias(network.weight, network.bias), []
     for corners, affine in pieces:
         output = (weight * affine).tolist()
-        yield corners, [tuple(row[:2]) for row in output], [row[2] for row in output]
-
-
-def _with_bias(weight, bias):
-    """(W, b) as an fmpq_mat."""
-    rows = np.column_stack([weight, bias])
-    return flint().fmpq_mat(*rows.shape, list(binary(rows.ravel())))
+        found.append((corners, [tuple(row[:2]) for row in output], [row[2] for row in output]))
+    return found
 
 
 def _by_winner(corners, channels):
@@ -561,7 +498,7 @@ def _by_winner(corners, channels):
                 continue
             *a, b = (entry - own for entry, own in zip(other, channel))
             part = _clip(part, a, -b)
-            if i < j and all(_dot(a, x) == -b for x in part):  # a tie on all of it: the first channel has it
+            if i < j and all(dot(a, x) == -b for x in part):  # a tie on all of it: the first channel has it
                 part = []
         if len(part) >= min(len(corners), 3):
             found.append((part, j))
