@@ -228,7 +228,8 @@ class Jet:
 
     def sqrt(self):
         s = self.value.sqrt()
-        return self.chain(s, 1 / (2 * s), -1 / (4 * s * self.value))
+        slope = 1 / (2 * s)
+        return self.chain(s, slope, -slope / (2 * self.value))  # no product of wide balls below a fraction
 
     def exp(self):
         e = self.value.exp()
