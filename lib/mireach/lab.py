@@ -66,12 +66,12 @@ class Control:
         """
         if self.choices:
             if str(value) not in self.choices:
-                raise ValueError(f"{self.name} must be one of {', '.join(self.choices)}; got {value!r}")
+                raise ValueError(f"{self.name} must be one of {', '.join(self.choices)}; got {value!r:.80}")
             return str(value)
         try:
             number = float(value)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{self.name} must be a number; got {value!r}") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"{self.name} must be a number; got {value!r:.80}") from error
         if not np.isfinite(number):
             raise ValueError(f"{self.name} must be finite; got {value!r}")
         number = min(max(number, self.low), self.high)
@@ -119,10 +119,11 @@ class Subject:
         Raises
         ------
         ValueError
-            If there is no such control, or a value is of the wrong kind.
+            If it is no dict, there is no such control, or a value is of the wrong kind.
         """
+        require_kind(settings, dict, "settings")
         known = {control.name: control for control in self.controls}
-        unknown = sorted(set(settings) - set(known))
+        unknown = sorted(f"{name!s:.80}" for name in set(settings) - set(known))
         if unknown:
             raise ValueError(f"there is no control {', '.join(unknown)}; there are {', '.join(known)}")
         return {name: control.settle(settings.get(name, control.default)) for name, control in known.items()}
