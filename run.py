@@ -11,7 +11,8 @@
     python3 run.py train CASE         make the data set and the network of CASE from scratch; the cases are pwa,
                                       double_integrator, three_tanks and four_tanks
     python3 run.py seeds CASE         the seed study of pwa or double_integrator, on all cores or with --scheduler
-                                      ADDRESS; with --analyse-only its maximal safe sets alone
+                                      ADDRESS; with --analyse-only its maximal safe sets alone; a study that was
+                                      interrupted is resumed
     python3 run.py bench              benchmarks/
 
 What follows the task is passed on to it: `python3 run.py reproduce --help`.

@@ -88,6 +88,16 @@ def test_rows_and_networks_of_different_studies_are_refused(shipped_copy):
         seeds.reanalyse("pwa", jobs=1, folder=shipped_copy, progress=False)
 
 
+def test_two_processes_give_what_one_gives(tmp_path):
+    pytest.importorskip("joblib")
+    rows, networks = study("pwa", [4, 3], jobs=2, progress=False, keep=tmp_path, steps=5)
+    here, own = study("pwa", [3, 4], jobs=1, progress=False, steps=5)
+    timeless = {"train_seconds": 0.0, "analysis_seconds": 0.0, "maximal_seconds": 0.0}
+    assert all(same(replace(one, **timeless), replace(two, **timeless)) for one, two in zip(rows, here, strict=True))
+    assert all(networks[seed].to_dict() == own[seed].to_dict() for seed in (3, 4))
+    assert sorted(os.listdir(tmp_path)) == ["3.json", "4.json"]
+
+
 def test_an_interrupted_study_is_resumed_and_gives_what_it_would_have_given(tmp_path, monkeypatch):
     trained = []
 
