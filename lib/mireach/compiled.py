@@ -425,15 +425,15 @@ def hull(points, turn):
 
 @njit(cache=True)
 def membership(x, H, h, tol):
-    """Whether H x <= h + tol, for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
+    """Whether H x <= h + tol, tol (l,), for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
     answer = np.ones(len(x), np.int64)
     for k in range(len(x)):
         for r in range(len(h)):
-            value, terms = 0.0, abs(h[r]) + abs(tol)
+            value, terms = 0.0, abs(h[r]) + abs(tol[r])
             for j in range(x.shape[1]):
                 value += H[r, j] * x[k, j]
                 terms += abs(H[r, j] * x[k, j])
-            value -= h[r] + tol
+            value -= h[r] + tol[r]
             doubt = (x.shape[1] + 4) * 2.0**-52 * terms + 2.0**-1060
             if value > doubt:
                 answer[k] = -1

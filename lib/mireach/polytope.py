@@ -445,23 +445,23 @@ class Polytope:
         Parameters
         ----------
         x : array (n,) or (N, n)
-        tol : float
-            In units of h. The default asks for the closed set itself; a computed vertex is inside
-            only to within rounding, 1e-9 is ample for it in units in which the set has a size of about 1.
+        tol : float or array (l,)
+            In units of h, for all rows or for each. The default asks for the closed set itself; a computed vertex is
+            inside only to within rounding, 1e-9 is ample for it in units in which the set has a size of about 1.
 
         Returns
         -------
         bool, or array (N,) of bool
         """
-        x = np.asarray(x, float)
+        x, tol = np.asarray(x, float), np.full(len(self.h), tol, float)
         require_columns(x, self.dimension, "x", "the dimension of the polytope")
         if not x.flags.c_contiguous:
             x = np.ascontiguousarray(x)
         if x.ndim == 1:
-            answer = membership(x[None], self.H, self.h, float(tol))[0]
+            answer = membership(x[None], self.H, self.h, tol)[0]
             return bool(answer > 0 or (answer == 0 and self._holds_floats(x, tol)))
         rows = x.reshape(-1, self.dimension)
-        answer = membership(rows, self.H, self.h, float(tol))
+        answer = membership(rows, self.H, self.h, tol)
         inside = answer > 0
         for k in np.flatnonzero(answer == 0):
             inside[k] = self._holds_floats(rows[k], tol)
@@ -471,9 +471,11 @@ class Polytope:
         """Whether a row of floats satisfies H x <= h + tol; False if one of them is not finite."""
         return bool(np.isfinite(x).all()) and self._holds(binary(x), binary(tol))
 
-    def _holds(self, point, tol=0):
-        """Whether a point of fmpq satisfies H x <= h + tol."""
-        return all(rational.dot(a, point) <= b + tol for a, b in zip(*self.exact))
+    def _holds(self, point, tol=None):
+        """Whether a point of fmpq satisfies H x <= h + tol, for tol (l,) of fmpq."""
+        H, h = self.exact
+        limits = h if tol is None else [b + t for b, t in zip(h, tol)]
+        return all(rational.dot(a, point) <= b for a, b in zip(H, limits))
 
     def is_subset(self, Q, tol=0.0):
         """Whether P lies in Q, h_P(H_Q) <= h_Q, decided without rounding. An empty P lies in every Q.
