@@ -1,7 +1,8 @@
 """Small random certificates, mutations of their text, and an oracle of claims that shares no code with the checker.
 
-The oracle reads the text itself, lists corners by brute force in fractions, replays random steps in fractions, and asks
-the exact engine and `prove_error` about a loop that it builds from the floats of the text.
+The oracle reads the text itself, every number as the float that it is, lists corners by brute force in fractions,
+replays random steps in fractions, and asks the exact engine and `prove_error` about a loop that it builds from the
+floats of the text.
 """
 
 import json
@@ -25,7 +26,6 @@ from mireach.engines import exact
 SAMPLES = 3  # corners, and random states, that are replayed for one image
 SMALLEST, LARGEST = Fraction("1e-300"), 10**15  # beyond these the engines' floats are of no use: fractions alone judge
 UNDECIDED = 1e-11  # a criterion closer to equality than this is not judged by the oracle's floats
-ROUNDED = 1e-12  # what an image may exceed if the text has numbers that are no shortest decimal of a float
 ERROR = 1e-9  # by which `prove_error` ends its search
 
 # -- builders -----------------------------------------------------------------------------------------
@@ -358,8 +358,13 @@ def outcome(text, ignore_digest=True, seconds=60):
 def false_claims(text, report):
     """The names of claims that the report calls proven and the oracle does not confirm."""
     proven = [result.claim for result in report.results if result.verdict == "proven"]
-    oracle = Oracle(json.loads(text, parse_int=Fraction, parse_float=Fraction)) if proven else None
+    oracle = Oracle(json.loads(text, parse_int=number, parse_float=number)) if proven else None
     return [name for name in proven if not oracle.confirms(name)]
+
+
+def number(text):
+    """The float that a numeral stands for, exactly."""
+    return Fraction(float(text))
 
 
 def dot(a, x):
@@ -384,11 +389,11 @@ def corners_of(rows):
 
 
 def growth_of(rows_before, corners, c):
-    """The largest alpha with c + alpha (x - c) in {rows_before} for all corners x; None if c is not inside."""
+    """The largest alpha >= 0 with c + alpha (x - c) in {rows_before} for all corners x; None if c is not inside."""
     shares = []
     for a, b in rows_before:
         size = max(dot(a, x) for x in corners) - dot(a, c)
-        if size <= 0:
+        if size <= 0 or b < dot(a, c):
             return None
         shares.append((b - dot(a, c)) / size)
     return min(shares)
@@ -396,11 +401,6 @@ def growth_of(rows_before, corners, c):
 
 def rows_of(value):
     return list(zip(value["H"], value["h"]))
-
-
-def binary(value):
-    """Fractions of decimals as those of their floats; lists entry by entry."""
-    return [binary(entry) for entry in value] if isinstance(value, list) else Fraction(float(value))
 
 
 def floats(value):
@@ -411,7 +411,7 @@ def polytope(value):
     return mr.Polytope(floats(value["H"]), floats(value["h"]))
 
 
-def is_below(bounds, offsets, slack):
+def is_below(bounds, offsets, slack=0.0):
     """Whether floats lie below floats, or above by no more than `slack` relative to them."""
     return bool((bounds <= offsets + slack * (1 + np.abs(offsets))).all())
 
@@ -435,18 +435,19 @@ _ANSWERS = {}
 
 
 class Oracle:
-    """What is true of a content whose numbers are Fractions; a method for every claim."""
+    """What is true of a content whose numbers are Fractions of floats; a method for every claim."""
 
     def __init__(self, content):
         self.content, self.system, self.claims = content, content["system"], content["claims"]
-        self.C, self.sets = binary(content["template"]), binary(content["sets"])
+        self.C, self.sets = content["template"], content["sets"]
         self.n = len(self.C[0])
+        for mode in self.system["modes"]:  # a mode acts where the input lies in U
+            mode["region"]["H"] += [[Fraction(0)] * self.n + row for row in self.system["input_set"]["H"]]
+            mode["region"]["h"] += self.system["input_set"]["h"]
         numbers = [get(self.system, path) for path in nodes(self.system)]
         numbers = [value for value in numbers if isinstance(value, Fraction)]
         self.world = repr((self.system, content["network"], self.C))
         self.beyond_floats = any(value and not SMALLEST < abs(value) < LARGEST for value in numbers)
-        rounded = not self.beyond_floats and any(Fraction(repr(float(value))) != value for value in numbers)
-        self.slack = ROUNDED if rounded else 0.0
         self.rng, self.known, self.corners = np.random.default_rng(0), {}, {}
 
     def confirms(self, *names):
@@ -471,7 +472,7 @@ class Oracle:
         for a, b in U:
             loop = self._loop([(np.zeros((2, 2)), [floats(a), 0 * floats(a)], np.zeros(2), None, None)], a)
             top = mr.support(loop, around, [[1.0, 0.0]], engine="exact").bound[0]
-            if top > np.nextafter(float(b), np.inf) + self.slack * (1 + abs(float(b))):
+            if top > np.nextafter(float(b), np.inf):
                 return False
         return True
 
@@ -517,7 +518,8 @@ class Oracle:
             return True
         X, U = self.X, polytope(self.system["input_set"])
         components = [
-            [(t["coefficient"], [int(power) for power in t["powers"]]) for t in f] for f in self.content["plant"]["f"]
+            [(Fraction(t["coefficient"]), [int(power) for power in t["powers"]]) for t in f]
+            for f in self.content["plant"]["f"]
         ]
 
         def f(x, u):
@@ -621,8 +623,14 @@ class Oracle:
         if self.beyond_floats:
             return True
         C = floats(self.C)
-        bound = mr.support(self.loop, mr.Polytope(C, floats(self.sets[k])), C, engine="exact").bound
-        return is_below(bound, floats(self.sets[j]), self.slack)
+        try:
+            bound = mr.support(self.loop, mr.Polytope(C, floats(self.sets[k])), C, engine="exact").bound
+        except ValueError:  # the engine wants at least one state on which a mode acts
+            lower, upper = self.X.bounding_box()
+            x = self.rng.uniform(lower, upper, (2000, 2))
+            z = np.hstack([x, self.network(x)])
+            return not any((z @ region.H.T <= region.h).all(axis=1).any() for _, _, _, region, _ in self._modes)
+        return is_below(bound, floats(self.sets[j]))
 
     @remembered
     def _has_successors(self, k):

@@ -51,7 +51,9 @@ def test_shipped_certificates_are_proven_and_speak_of_the_shipped_network(name, 
     content = json.loads(Path(path).read_text())
     case = mr.case_study(name)
     assert Fraction(content["claims"]["theorem_1"]["alpha"]) > 1 and content["claims"]["theorem_1"]["stable"]
-    assert [mode["A"] for mode in content["system"]["modes"]] == [mode.A.tolist() for mode in case.system.modes]
+    for mode, own in zip(content["system"]["modes"], case.system.modes, strict=True):
+        for key in "ABp":  # the last digits of a least-squares fit depend on the machine
+            np.testing.assert_allclose(mode[key], getattr(own, key), rtol=0, atol=1e-12)
     assert [mode["disturbance"] for mode in content["system"]["modes"]] == [
         mode.disturbance.to_dict() for mode in case.system.modes
     ]
@@ -115,7 +117,6 @@ def test_a_terminal_set_that_is_a_little_too_small_is_repaired(seed):
 
 
 def test_offsets_of_x_that_are_no_short_decimals_stay_in_x():
-    """Half of all floats lie above the decimals that name them: F_max has to lie below these."""
     for seed in range(20):
         r = np.random.default_rng(seed).uniform(0.5, 5)
         loop = affine_loop(0.5 * np.eye(2), limits=r)
@@ -151,8 +152,8 @@ def replays(loop, content, witness, k):
     assert exactly_inside(mode.region, [*x, *u]) and exactly_inside(mode.disturbance, d)
     assert all(a[0] * x[0] + a[1] * x[1] <= b for a, b in rows)
     for i in range(2):
-        row = [Fraction(repr(value)) for value in (*mode.A[i].tolist(), *mode.B[i].tolist())]
-        assert sum(a * b for a, b in zip(row, [*x, *u])) + Fraction(repr(mode.p.tolist()[i])) + d[i] == after[i]
+        row = [Fraction(value) for value in (*mode.A[i].tolist(), *mode.B[i].tolist())]
+        assert sum(a * b for a, b in zip(row, [*x, *u])) + Fraction(mode.p.tolist()[i]) + d[i] == after[i]
     assert any(a[0] * after[0] + a[1] * after[1] > b for a, b in rows)
 
 
@@ -212,7 +213,7 @@ def test_growth_agrees_with_corners_in_fractions(seed):
     h, before = rng.uniform(0.5, 2, 7), rng.uniform(0.5, 3, 7)
     centre = rng.choice([0.0, 0.1, 0.3], 2).tolist()
     rows = [[(tuple(map(Fraction, a)), Fraction(b)) for a, b in zip(C.tolist(), v.tolist())] for v in (before, h)]
-    c = [Fraction(repr(value)) for value in centre]
+    c = [Fraction(value) for value in centre]
     assert exact.growth(C, before, h, centre) == growth_of(rows[0], corners_of(rows[1]), c)
     assert exact.growth(C, before, h, [9.0, 0.0]) is None
 
@@ -223,7 +224,7 @@ def test_growth_agrees_with_corners_in_fractions(seed):
 def value_of(content, z):
     """f of a certificate in floats."""
     return [
-        sum(term["coefficient"] * np.prod([b**k for b, k in zip(z, term["powers"])]) for term in terms)
+        sum(float(Fraction(term["coefficient"])) * np.prod([b**k for b, k in zip(z, term["powers"])]) for term in terms)
         for terms in content["plant"]["f"]
     ]
 

@@ -93,20 +93,25 @@ def verdict(value, claim="safe_set"):
 # -- sets and regions at their edges ------------------------------------------------------------------
 
 
-def test_a_set_that_fits_without_any_margin_is_proven_and_one_digit_more_is_refuted():
+def test_a_set_that_fits_without_any_margin_is_proven_and_the_next_float_is_refuted():
     assert verdict(content(mode(D=box(0.5)))) == "proven"
-    found = check(content(mode(D=box(0.5000000000000000000001))))["safe_set"]
-    assert found.verdict == "proven"  # json wrote the float 0.5
+    assert verdict(content(mode(D=box(np.nextafter(0.5, 1))))) == "refuted"
     text = json.dumps(content(mode(D=box(0.25)))).replace("0.25", "0.5000000000000000000000001")
-    report = checker.check(checker.parse(text))
-    assert report.results[1].verdict == "refuted" and not report.proven
+    assert checker.check(checker.parse(text)).proven  # which is the float 0.5
+
+
+@pytest.mark.parametrize("r", [0.1, 0.3, 0.7, 1e-9, 1e9, 5e-324])
+def test_sets_and_limits_are_read_alike(r):
+    """x+ = x / 2 on X = F_max = [-r, r]^2, whether the float r lies above or below the decimal."""
+    assert verdict(content(F=(r,) * 4, X=box(r))) == "proven"
+    assert verdict(content(F=(np.nextafter(r, 2 * r),) * 4, X=box(r))) == "refuted"
 
 
 def test_a_witness_is_a_step_that_can_be_replayed():
     step = check(content(mode(p=(0.6, 0.0))))["safe_set"].witness
     x, d, after = ([Fraction(entry) for entry in step[key]] for key in ("state", "disturbance", "after"))
     assert all(abs(entry) <= 1 for entry in x) and d == [0, 0] and step["mode"] == 1
-    assert after == [x[0] / 2 + Fraction(6, 10), x[1] / 2] and after[0] > 1
+    assert after == [x[0] / 2 + Fraction(0.6), x[1] / 2] and after[0] > 1
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -193,7 +198,7 @@ def test_a_last_set_that_holds_the_image_of_the_one_before_need_not_be_invariant
     found = check(content(swap, later=[(0.9, 0.9, 0.9, 0.9), (0.82, 1.0, 0.82, 1.0)]))
     assert found["sequence"].verdict == "proven" and found["terminal_set"].verdict == "refuted"
     x, after = (abs(Fraction(found["terminal_set"].witness[key][i])) for key, i in (("state", 1), ("after", 0)))
-    assert x <= 1 and after == x * Fraction(9, 10) > Fraction(82, 100)
+    assert x <= 1 and after == x * Fraction(0.9) > Fraction(0.82)
 
 
 def test_an_empty_terminal_set_does_not_hold_the_image():
@@ -246,6 +251,12 @@ def test_theorems_need_inputs_in_u():
     value = with_plant(f=LINEAR, later=[(0.5,) * 4], theorem_1={"alpha": "2", "stable": True})
     assert {verdict(value, name) for name in ("theorem_1", "theorem_2")} == {"proven"}
     value["network"]["output"]["bias"] = [1.5]  # without effect on the states, for B = 0
+    found = check(value)
+    assert found["inputs"].verdict == found["safe_set"].verdict == "refuted"
+    assert "outside U" in found["safe_set"].reason and found["safe_set"].witness.keys() == {"state"}
+    assert {found[name].verdict for name in ("terminal_set", "theorem_1", "theorem_2")} == {"not checked"}
+    value["network"]["output"] = {"weight": [[1.0, 0.0]], "bias": [0.5]}  # outside U in a part of X beyond F_max
+    value["sets"] = [[0.5] * 4, [0.25] * 4]
     found = check(value)
     assert found["inputs"].verdict == "refuted" and found["terminal_set"].verdict == "proven"
     assert {found[name].verdict for name in ("theorem_1", "theorem_2")} == {"not checked"}
@@ -367,8 +378,7 @@ def test_theorem_2_needs_the_origin_inside_and_all_else_proven():
 # -- geometry -----------------------------------------------------------------------------------------
 
 
-def free():
-    """A clock that never rings."""
+free = checker.Budget(3600)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -469,10 +479,28 @@ def test_a_digest_is_of_the_content_not_of_its_letters():
     assert digest('{"a": 1, "b": 2}') != digest('{"a": 2, "b": 1}')
 
 
-def test_plants_are_decimals_and_networks_floats():
-    tenth = Fraction(1, 10)
-    assert checker.decimal(checker.Numeral("0.1"), "it") == tenth
-    assert checker.binary(checker.Numeral("0.1"), "it") == Fraction(0.1) != tenth
+def test_numbers_are_the_floats_that_they_are_and_fractions_are_themselves():
+    for text in ("0.1", "0.10000000000000000000001", "1e-1", "0.1000000000000000055511151231257827"):
+        assert checker.number(checker.Numeral(text), "it") == Fraction(0.1) != Fraction(1, 10)
+    assert checker.number(checker.Numeral("1e-330"), "it") == 0
+    assert checker.coefficient_of("1/10", "it") == Fraction(1, 10)
+    assert checker.coefficient_of(checker.Numeral("0.1"), "it") == Fraction(0.1)
+    everywhere = {"A": ((0.1, 0.0), (0.0, 0.1)), "p": (0.1, 0.0), "region": ((0.1, 0.0, 0.0), 0.1), "D": box(0.1)}
+    value = with_plant(mode(**everywhere), f=([(0.1, 0, 0, 0)], []), F=(0.1,) * 4, X=box(0.1), later=[(0.1,) * 4])
+    value["claims"]["criterion"] |= {"epsilon": 0.1, "centre": [0.1, 0.1]}
+    value["network"]["output"] = {"weight": [[0.1, 0.1]], "bias": [0.1]}
+    value["template"] = [[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]]
+    read = checker.Certificate.of(checker.parse(json.dumps(value)))
+    numbers, seen = [[getattr(read, name) for name in ("modes", "state_set", "network", "sets", "plant", "claims")]], []
+    while numbers:
+        one = numbers.pop()
+        if isinstance(one, (checker.Mode, checker.Network)):
+            numbers += vars(one).values()
+        elif isinstance(one, (tuple, list, dict)):
+            numbers += one.values() if isinstance(one, dict) else one
+        elif isinstance(one, Fraction) and one.denominator > 1:
+            seen.append(abs(one))
+    assert set(seen) == {Fraction(0.1)} and len(seen) > 30
 
 
 @pytest.mark.parametrize(
@@ -621,7 +649,10 @@ def test_numbers_of_thousands_of_digits_have_a_witness_without_them():
     value["system"]["modes"][0]["B"] = [[1.0], [0.0]]
     found = check(value)
     assert found["inputs"].verdict == found["safe_set"].verdict == "refuted"
-    assert found["safe_set"].witness["after"][0] is None and "1e308 or more" in found["safe_set"].reason
+    assert "1e308 or more" in found["safe_set"].reason
+    value["system"]["input_set"] = {"H": [[0.0]], "h": [0.0]}
+    found = check(value)["safe_set"]
+    assert found.witness["after"][0] is None and "1e308 or more" in found.reason
 
 
 # -- the command --------------------------------------------------------------------------------------
