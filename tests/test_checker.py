@@ -3,6 +3,8 @@
 import json
 import subprocess
 import sys
+import time
+import tracemalloc
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +14,7 @@ import pytest
 from certificates import (
     MUTATIONS,
     STRANGE,
+    World,
     corners_of,
     false_claims,
     get,
@@ -21,6 +24,7 @@ from certificates import (
     outcome,
     put,
     random_certificate,
+    small_world,
 )
 
 from mireach import checker
@@ -30,6 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = {name: ROOT / "data" / name / "certificate.json" for name in ("pwa", "double_integrator")}
 SQUARE = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
 SEEDS = 8  # small certificates that every kind of mutation meets
+WORLDS = 120  # small contents whose every verdict is found by brute force
 SHIPPED_SEEDS = {"pwa": 2, "double_integrator": 1}  # mutations of each of some kinds
 
 
@@ -88,6 +93,25 @@ def check(value, **options):
 
 def verdict(value, claim="safe_set"):
     return check(value)[claim].verdict
+
+
+# -- all verdicts, by brute force ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tens", range(WORLDS // 10))
+def test_every_verdict_is_that_of_brute_force_and_every_witness_replays(tens):
+    for seed in range(10 * tens, 10 * tens + 10):
+        value = small_world(seed)
+        world = World(value)
+        for claim, found in check(value).items():
+            assert found.verdict == world.verdict(claim), (seed, claim, found)
+            assert found.witness is None or world.replays(claim, found.witness), (seed, claim, found)
+
+
+def test_small_worlds_have_every_verdict_of_every_claim():
+    seen = {(claim, found.verdict) for seed in range(WORLDS) for claim, found in check(small_world(seed)).items()}
+    either = {(claim, verdict) for claim in checker.CLAIMS for verdict in ("proven", "refuted")}
+    assert {pair for pair in either if pair[0] not in checker.OF_PLANT} <= seen
 
 
 # -- sets and regions at their edges ------------------------------------------------------------------
@@ -242,6 +266,46 @@ def test_theorem_1_does_not_rest_on_offsets_that_nothing_touches():
     assert verdict(value, "theorem_1") == "proven"
 
 
+def test_theorem_1_is_about_alpha_above_1_strictly():
+    """R_1 = R_0: the boundaries touch, alpha is 1, and nothing is stable."""
+    for stable, expected in ((True, "refuted"), (False, "proven")):
+        own = {"alpha": "1", "stable": stable}
+        assert verdict(content(later=[(1.0,) * 4], theorem_1=own), "theorem_1") == expected
+    above = Fraction(1) / Fraction(np.nextafter(1, 0))
+    value = content(later=[(np.nextafter(1, 0),) * 4], theorem_1={"alpha": str(above), "stable": True})
+    assert verdict(value, "theorem_1") == "proven"
+
+
+@pytest.mark.parametrize(
+    ("before", "last", "centre", "alpha", "says"),
+    [
+        ((0.125,) * 4, (0.5,) * 4, (0.25, 0.25), "-1/2", None),  # c outside R_(k-1), inside R_k
+        ((0.125,) * 4, (0.5,) * 4, (0.25, 0.25), None, "not in R_1"),
+        ((0.125,) * 4, (0.5,) * 4, (0.25, 0.25), "0", None),
+        ((0.25,) * 4, (0.5,) * 4, (0.25, 0.25), "0", "alpha = 1 - 1"),  # on the boundary of R_(k-1)
+        ((0.25,) * 4, (0.5,) * 4, (0.25, 0.25), None, None),
+        ((0.5,) * 4, (0.25,) * 4, (0.25, 0.0), None, "not inside R_k"),  # on the boundary of R_k
+        ((0.5,) * 4, (0.25,) * 4, (0.375, 0.0), None, "not inside R_k"),
+        ((0.5,) * 4, (0.25,) * 4, (2.0, 0.0), None, "not inside R_k"),
+        ((0.5,) * 4, (0.0,) * 4, (0.0, 0.0), None, "not inside R_k"),  # a point
+        ((0.5,) * 4, (0.25, 0.0, 0.25, 0.0), (0.0, 0.0), None, "not inside R_k"),  # a segment
+        ((0.5,) * 4, (0.25, 0.0, 0.25, 0.0), (0.0, 0.0), "2", None),
+    ],
+)
+def test_alpha_where_the_centre_is_outside_or_sets_are_flat(before, last, centre, alpha, says):
+    """x+ = 0, which every set here holds; `says` None: the claim is wrong."""
+    zero = mode(A=((0.0, 0.0), (0.0, 0.0)))
+    own = {"alpha": alpha, "centre": list(centre), "stable": False}
+    for last_row in ((), ((1.0, 0.0),)):  # a row that stands there twice changes nothing
+        value = content(zero, later=[before, last], theorem_1=own)
+        value["template"] = [*SQUARE, *map(list, last_row)]
+        value["sets"] = [[*h, *h[: len(last_row)]] for h in value["sets"]]
+        found = check(value)["theorem_1"]
+        assert found.verdict == ("refuted" if says is None else "proven") and (says or "") in found.reason
+        value["claims"]["theorem_1"]["stable"] = True
+        assert verdict(value, "theorem_1") == "refuted"
+
+
 def test_a_claim_that_needs_a_refuted_one_is_not_proven():
     found = check(content(mode(p=(0.6, 0.0)), later=[(0.5, 0.5, 0.5, 0.5)], theorem_1={"alpha": "2", "stable": True}))
     assert not any(found[name].verdict == "proven" for name in ("terminal_set", "criterion", "theorem_1"))
@@ -273,6 +337,39 @@ def test_the_criterion_is_decided_both_ways():
     assert verdict(still, "criterion") == "proven"  # R_1 of the shrunk set is that set, neither more nor less
     value["claims"]["criterion"]["centre"] = [3.0, 0.0]
     assert "fails" in check(value)["criterion"].reason
+
+
+@pytest.mark.parametrize(
+    ("centre", "holds"), [((1.0, 0.0), True), ((1.0, 1.0), True), ((np.nextafter(1, 2), 0), False)]
+)
+def test_the_criterion_needs_a_centre_in_the_terminal_set(centre, holds):
+    """x+ = x, so that S, which is about a centre on the boundary as well, is its own image."""
+    still = mode(A=((1.0, 0.0), (0.0, 1.0)))
+    for told in (True, False):
+        own = {"centre": list(centre), "holds": told}
+        value = content(still, later=[(1.0,) * 4], X=box(2.0), criterion=own)
+        assert verdict(value, "criterion") == ("proven" if told == holds else "refuted")
+
+
+def test_the_criterion_holds_for_a_point_and_a_segment():
+    for last in ((0.0,) * 4, (0.5, 0.0, 0.5, 0.0)):
+        value = content(mode(A=((1.0, 0.0), (0.0, 0.0))), F=last, later=[last])
+        assert verdict(value, "criterion") == "proven"
+
+
+def test_a_witness_in_the_file_counts_for_nothing():
+    value = content(mode(p=(0.6, 0.0)))
+    own = check(value)["safe_set"]
+    told = {"verdict": "not proven", "reason": own.reason, "witness": own.witness}
+    value["claims"]["safe_set"] = told
+    assert check(value)["safe_set"] == own
+    for other in ({**own.witness, "state": ["1", "1/2"]}, {**own.witness, "mode": 2}, {}, 7, "x", [[1e300]]):
+        value["claims"]["safe_set"] = {**told, "witness": other}
+        found = check(value)["safe_set"]
+        assert found.verdict == "refuted" and found.witness == own.witness and "another" in found.reason
+    value["claims"]["safe_set"] = {**told, "verdict": "proven"}
+    with pytest.raises(checker.Malformed, match="witness"):
+        check(value)
 
 
 def test_what_a_certificate_does_not_claim_is_not_proven():
@@ -348,6 +445,47 @@ def test_an_error_that_is_largest_inside_is_found():
         assert verdict(with_plant(mode(D=D), f=f), "error_set") == expected
 
 
+@pytest.mark.parametrize("seed", range(25))
+def test_an_error_may_touch_d_and_not_pass_it_by_one_ulp(seed):
+    """b t + a t^2 in every coordinate, whose maximum over the box is a float."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.choice([-1.0, -0.5, 0.0, 0.25], 3), rng.integers(-4, 5, 3) / 4
+    low, high = -rng.integers(0, 5, 3) / 4, rng.integers(0, 5, 3) / 4
+    top = 0.0
+    for i in range(3):
+        peak = -b[i] / (2 * a[i]) if a[i] else low[i]
+        top += max(b[i] * t + a[i] * t * t for t in (low[i], high[i], min(max(peak, low[i]), high[i])))
+    terms = [(v, *(power * (i == j) for j in range(3))) for i in range(3) for v, power in ((b[i], 1), (a[i], 2)) if v]
+    f = [(1.0, 1, 0, 0), *terms] if b[0] == 0 else [(1.0 + b[0], 1, 0, 0), *(t for t in terms if t[1:] != (1, 0, 0))]
+    for given, expected in ((top, "proven"), (np.nextafter(top, -9), "refuted"), (top - 1e-10, "refuted")):
+        D = {"H": SQUARE, "h": [given, 0.0, 99.0, 0.0]}
+        value = with_plant(mode(A=((1.0, 0.0), (0.0, 0.0)), D=D), f=(f, []), F=(0.0,) * 4)
+        value["system"]["state_set"]["h"] = [high[0], high[1], -low[0], -low[1]]
+        value["system"]["input_set"]["h"] = [high[2], -low[2]]
+        assert verdict(value, "error_set") == expected
+
+
+def test_products_of_powers_count_by_their_sign():
+    """x1^2 x2^2 lies in [0, 1], x1 x2 and x1^3 in [-1, 1]: tops of f - 0 along +x1 and -x1."""
+    zero = {"A": ((0.0, 0.0), (0.0, 0.0))}
+    for term, up, down in (((2, 2, 0), 1.0, 0.0), ((1, 1, 0), 1.0, 1.0), ((3, 0, 0), 1.0, 1.0), ((0, 4, 2), 1.0, 0.0)):
+        for sign in (1.0, -1.0):
+            top, bottom = (up, down) if sign > 0 else (down, up)
+            cases = ((top, bottom), "proven"), ((top - 1e-10, bottom), "refuted"), ((top, bottom - 1e-10), "refuted")
+            for h, expected in cases:
+                D = {"H": SQUARE, "h": [h[0], 0.0, h[1], 0.0]}
+                assert verdict(with_plant(mode(**zero, D=D), f=([(sign, *term)], [])), "error_set") == expected
+
+
+def test_coefficients_of_f_may_be_fractions_as_text():
+    f = [("1/2", 1, 0, 0), ("1/10", 0, 0, 0)], LINEAR[1]
+    for top, expected in ((0.1, "proven"), (np.nextafter(0.1, 0), "refuted")):  # the float 0.1 is above 1/10
+        assert verdict(with_plant(mode(D={"H": SQUARE, "h": [top, 0.0, 0.0, 0.0]}), f=f), "error_set") == expected
+    for text in ("0.5", "1/0", "x", ""):
+        with pytest.raises(checker.Malformed, match="no fraction"):
+            check(with_plant(f=([(text, 1, 0, 0)], [])))
+
+
 def test_the_error_counts_where_the_region_meets_x_and_u():
     f = [*LINEAR[0], (1.0, 0, 0, 1)], LINEAR[1]  # the error is u
     half = ((0.0, 0.0, 1.0), 0.25)
@@ -361,6 +499,8 @@ def test_the_error_counts_where_the_region_meets_x_and_u():
     value = with_plant(mode(D=D), f=f)
     value["system"]["input_set"] = {"H": [[1.0], [-1.0]], "h": [0.3, 1.0]}
     assert verdict(value, "error_set") == "proven"
+    value["system"]["input_set"]["h"] = [0.30000000001, 1.0]
+    assert verdict(value, "error_set") == "refuted"
     value["system"]["input_set"] = {"H": [[1.0]], "h": [0.25]}
     assert "no limits" in check(value)["error_set"].reason
 
@@ -585,6 +725,78 @@ def test_what_is_no_certificate_is_refused(text, tmp_path):
         checker.verify(path)
     with pytest.raises(checker.Malformed):
         checker.verify(SHIPPED["pwa"], network=path)
+
+
+def told(text, key="witness"):
+    """A certificate whose claim `inputs` has this text where nobody needs it, with a digest."""
+    value = content(inputs={"verdict": "not proven", key: "@"})
+    return json.dumps({**value, "digest": "0"}).replace('"@"', text)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[" + "1e999," * 100_000 + "1]", "no number of reasonable size"),
+        ("[" + "1e-999," * 100_000 + "1]", "no number of reasonable size"),
+        ("[" + "1," * 900_000 + "1]", "commas"),
+        ("[" * 900_000 + "]" * 900_000, "levels"),
+        ('{"a":' * 300_000 + "1" + "}" * 300_000, "levels"),
+        ('["' + '\\"' * 600_000, "not JSON"),
+        ('["' + "[" * 1_900_000 + '"]', None),
+        ('"' + "\\ud800" * 300_000 + '"', None),
+        ("[" + "1e308," * 190_000 + "1]", None),
+        ("{" + ",".join(f'"k{i}":1' for i in range(150_000)) + "}", None),
+    ],
+    ids=range(10),
+)
+def test_what_nobody_reads_costs_little_whatever_it_is(text, says, tmp_path):
+    """Reading takes a second or two, and the digest keeps to the seconds as everything does."""
+    path = tmp_path / "certificate.json"
+    path.write_text(told(text))
+    begin = time.process_time()
+    if says is None:
+        report = checker.verify(path, seconds=0.2)
+        assert report.digest in ("changed", "not checked")
+        assert {result.verdict for result in report.results} == {"not checked"} and not report.proven
+    else:
+        with pytest.raises(checker.Malformed, match=says):
+            checker.verify(path, seconds=0.2)
+    assert time.process_time() - begin < 6
+
+
+def test_the_digest_is_made_in_parts():
+    value = checker.parse("{" + ",".join(f'"k{i}": [1e308, 2e-308]' for i in range(5_000)) + "}")
+    tracemalloc.start()
+    try:
+        checker.digest(value)
+        assert tracemalloc.get_traced_memory()[1] < 2e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_marks_within_texts_are_no_levels():
+    deep = "[" * 30 + '\\"' + "{" * 30
+    assert checker.parse(json.dumps({"a": deep, deep: "}]\\"})) == {"a": deep, deep: "}]\\"}
+    assert checker.parse("[" * 20 + "]" * 20) and checker.parse(b"\xef\xbb\xbf[1]") == ["1"]
+    with pytest.raises(checker.Malformed, match="levels"):
+        checker.parse("[" * 21 + "]" * 21)
+
+
+def test_memory_is_limited_as_time_is(monkeypatch):
+    monkeypatch.setattr(checker, "MOST_MEMORY", 20_000)
+    net = dict(hostile())["1000 neurons"]
+    assert all("needs more than" in found.reason for found in check(net).values())
+    assert "needs more than" in check(content(*[mode() for _ in range(200)]))["safe_set"].reason
+    with pytest.raises(checker.Stopped, match="needs more"):
+        checker.Budget(9).hold(20_001)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, float("nan")])
+def test_seconds_are_a_number_from_0_on(seconds):
+    with pytest.raises(ValueError, match="seconds"):
+        check(content(), seconds=seconds)
+    with pytest.raises(SystemExit):
+        main(["verify", str(SHIPPED["pwa"]), "--seconds", str(seconds)])
 
 
 def test_reasons_that_nobody_reads_may_not_be_deep():
