@@ -10,7 +10,7 @@ import re
 import warnings
 from dataclasses import replace
 from fractions import Fraction
-from functools import cached_property, lru_cache, wraps
+from functools import cache, cached_property, lru_cache, wraps
 from itertools import combinations, pairwise, product
 from math import gcd, lcm
 from unittest.mock import patch
@@ -857,7 +857,13 @@ def crossing(row, other):
     return [((b * c[1] - d * a[1]) / turn, (a[0] * d - c[0] * b) / turn)] if turn else []
 
 
+@cache
 def small_world(seed):
+    """A World whose answers are kept."""
+    return World(small_content(seed))
+
+
+def small_content(seed):
     """A content for `World`: ties, jumps, overlaps, gaps, flat sets, sets that fit exactly or fail by one ulp."""
     rng = np.random.default_rng(seed)
 

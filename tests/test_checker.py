@@ -14,7 +14,6 @@ import pytest
 from certificates import (
     MUTATIONS,
     STRANGE,
-    World,
     corners_of,
     false_claims,
     get,
@@ -101,15 +100,16 @@ def verdict(value, claim="safe_set"):
 @pytest.mark.parametrize("tens", range(WORLDS // 10))
 def test_every_verdict_is_that_of_brute_force_and_every_witness_replays(tens):
     for seed in range(10 * tens, 10 * tens + 10):
-        value = small_world(seed)
-        world = World(value)
-        for claim, found in check(value).items():
+        world = small_world(seed)
+        for claim, found in check(world.content).items():
             assert found.verdict == world.verdict(claim), (seed, claim, found)
             assert found.witness is None or world.replays(claim, found.witness), (seed, claim, found)
 
 
 def test_small_worlds_have_every_verdict_of_every_claim():
-    seen = {(claim, found.verdict) for seed in range(WORLDS) for claim, found in check(small_world(seed)).items()}
+    seen = {
+        (claim, found.verdict) for seed in range(WORLDS) for claim, found in check(small_world(seed).content).items()
+    }
     either = {(claim, verdict) for claim in checker.CLAIMS for verdict in ("proven", "refuted")}
     assert {pair for pair in either if pair[0] not in checker.OF_PLANT} <= seen
 
