@@ -466,15 +466,26 @@ def test_an_error_may_touch_d_and_not_pass_it_by_one_ulp(seed):
 
 
 def test_products_of_powers_count_by_their_sign():
-    """x1^2 x2^2 lies in [0, 1], x1 x2 and x1^3 in [-1, 1]: tops of f - 0 along +x1 and -x1."""
+    """x1^2 x2^2 lies in [0, 1], x1 x2, x1^2 x2 and x1^3 in [-1, 1]: tops of f - 0 along +x1 and -x1."""
     zero = {"A": ((0.0, 0.0), (0.0, 0.0))}
-    for term, up, down in (((2, 2, 0), 1.0, 0.0), ((1, 1, 0), 1.0, 1.0), ((3, 0, 0), 1.0, 1.0), ((0, 4, 2), 1.0, 0.0)):
+    for term, up, down in (((2, 2, 0), 1.0, 0.0), ((1, 1, 0), 1.0, 1.0), ((3, 0, 0), 1.0, 1.0), ((2, 1, 0), 1.0, 1.0)):
         for sign in (1.0, -1.0):
             top, bottom = (up, down) if sign > 0 else (down, up)
             cases = ((top, bottom), "proven"), ((top - 1e-10, bottom), "refuted"), ((top, bottom - 1e-10), "refuted")
             for h, expected in cases:
                 D = {"H": SQUARE, "h": [h[0], 0.0, h[1], 0.0]}
                 assert verdict(with_plant(mode(**zero, D=D), f=([(sign, *term)], [])), "error_set") == expected
+
+
+def test_the_error_of_every_mode_counts_all_over_its_region():
+    """f = x1^2 / 4 with X = [-3, 3] x [-1, 1]: 9/4 at the ends, in the region of the second mode as in the first."""
+    zero, X = {"A": ((0.0, 0.0), (0.0, 0.0))}, {"H": SQUARE, "h": [3.0, 1.0, 3.0, 1.0]}
+    tops = [{"H": SQUARE, "h": [top, 0.0, 0.0, 0.0]} for top in (2.25, 2.25 - 1e-10)]
+    left, right = ((1.0, 0.0, 0.0), 0.0), ((-1.0, 0.0, 0.0), 0.0)
+    for first, second, expected in ((0, 0, "proven"), (0, 1, "refuted"), (1, 0, "refuted")):
+        modes = mode(**zero, region=left, D=tops[first]), mode(**zero, region=right, D=tops[second])
+        found = check(with_plant(*modes, f=([(0.25, 2, 0, 0)], []), X=X))["error_set"]
+        assert found.verdict == expected and (expected == "proven" or found.witness["mode"] == 1 + (second == 1))
 
 
 def test_coefficients_of_f_may_be_fractions_as_text():

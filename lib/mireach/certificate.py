@@ -166,7 +166,9 @@ def _repaired(loop, C, wanted, engine):
 
     Where that needs more than `LARGEST_INFLATION`, offsets stay what they were.
     """
-    most = LARGEST_INFLATION * (loop.system.state_set.support(C) + loop.system.state_set.support(-C))
+    X = loop.system.state_set
+    rows = binary(X.H), binary(X.h)
+    most = LARGEST_INFLATION * np.array([_support(X, rows, c) + _support(X, rows, -c) for c in C])
     h, image = _invariant(loop, C, wanted[0], engine, most)
     sets, images = [h], [image]
     for given in wanted[1:]:
