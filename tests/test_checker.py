@@ -521,6 +521,15 @@ def test_theorem_2_needs_the_origin_inside_and_all_else_proven():
     options = {"theorem_1": {"alpha": "2", "stable": True}, "criterion": {"holds": False}}
     assert verdict(with_plant(f=f, later=later, **options), "theorem_2") == "proven"
     assert "origin" in check(with_plant(f=f, later=[(0.5, 0.5, 0.0, 0.5)]))["theorem_2"].reason
+    wide = mode(D=box(0.3))  # leads from F_max beyond R_1
+    found = check(with_plant(wide, f=f, later=later, **options))
+    assert found["error_set"].verdict == found["safe_set"].verdict == "proven"
+    assert found["theorem_2"].verdict == "not checked" and "sequence" in found["theorem_2"].reason
+    swap = mode(A=((0.0, 0.9), (0.9, 0.0)))  # does not keep the last set
+    last = {"F": (0.9,) * 4, "later": [(0.82, 1.0, 0.82, 1.0)]}
+    found = check(with_plant(swap, f=([(0.9, 0, 1, 0)], [(0.9, 1, 0, 0)]), **last))
+    assert found["error_set"].verdict == found["safe_set"].verdict == found["sequence"].verdict == "proven"
+    assert found["theorem_2"].verdict == "not checked" and "terminal_set" in found["theorem_2"].reason
     wrong = [(0.6, 1, 0, 0)], LINEAR[1]
     assert verdict(with_plant(f=wrong, later=later, **options), "theorem_2") != "proven"
     assert verdict(with_plant(f=f), "theorem_2") == "not checked"
