@@ -284,3 +284,36 @@ def assert_escapes(loop, pieces, escape):
 
 def _exact_dot(row, values):
     return sum((Fraction(a) * value for a, value in zip(row, values)), Fraction(0))
+
+
+# -- units --------------------------------------------------------------------------------------------
+
+
+def in_other_units(loop, s, t):
+    """The same loop for x' = s x and u' = t u, powers of two (n,) and (m,): every number is scaled without rounding."""
+    net, system, both = loop.network, loop.system, np.concatenate([s, t])
+    hidden = list(net.hidden)
+    if hidden:
+        hidden[0] = Layer(hidden[0].weight / s, hidden[0].bias, hidden[0].pool)
+    weight = net.weight if hidden else net.weight / s
+    network = MaxoutNetwork(hidden, weight * t[:, None], net.bias * t)
+    modes = [
+        Mode(
+            mode.A * s[:, None] / s,
+            mode.B * s[:, None] / t,
+            mode.p * s,
+            set_in_other_units(mode.region, both),
+            set_in_other_units(mode.disturbance, s),
+        )
+        for mode in system.modes
+    ]
+    X, U = set_in_other_units(system.state_set, s), set_in_other_units(system.input_set, t)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the region of mode")
+        return ClosedLoop(PWASystem(modes, X, U), network)
+
+
+def set_in_other_units(P, s):
+    """{s x : x in P}, each row multiplied by a power of two of its own."""
+    rows = 2.0 ** np.arange(-3, 4)[np.arange(len(P.h)) % 7]
+    return Polytope(P.H / s * rows[:, None], P.h * rows)
