@@ -895,6 +895,8 @@ def small_content(seed):
     F = [1.0] * 4 + [float(rng.choice([1.5, 2.0]))] * (len(template) - 4)
     if rng.random() < 0.1:
         F[0], F[2] = 0.5, -0.5  # flat
+    scale = float(rng.choice([1.0, 0.25, 0.75, 3.0]))
+    template, F = [[scale * entry for entry in row] for row in template], [scale * entry for entry in F]
     X = {"H": square, "h": [float(rng.choice([1.0, 1.0, 1.0, 0.875, 2.0]))] * 4}
     content = {
         "format": "mireach-certificate/1",

@@ -357,6 +357,13 @@ def test_the_criterion_holds_for_a_point_and_a_segment():
         assert verdict(value, "criterion") == "proven"
 
 
+@pytest.mark.parametrize("epsilon", ["0", "-0.0", "-1e-3", "1e-399"])
+def test_epsilon_is_positive(epsilon):
+    text = json.dumps(content(later=[(1.0,) * 4], criterion={"epsilon": 12345})).replace("12345", epsilon)
+    with pytest.raises(checker.Malformed, match="positive epsilon"):
+        checker.check(checker.parse(text))
+
+
 def test_a_witness_in_the_file_counts_for_nothing():
     value = content(mode(p=(0.6, 0.0)))
     own = check(value)["safe_set"]
@@ -403,8 +410,9 @@ def test_nothing_about_the_loop_is_proven_outside_the_plane(n):
     assert verdicts.pop("error_set") == "proven"  # exact in any dimension
     assert set(verdicts.values()) == {"not checked"} and not report.proven
     assert "bound by HiGHS 1.2.3, not checked exactly" in str(report)
-    value["bounds"]["offsets"][0][0] = 0.51
-    assert verdict(value, "sequence") == "refuted"
+    for bound in (np.nextafter(0.5, 1), 0.51):
+        value["bounds"]["offsets"][0][0] = bound
+        assert verdict(value, "sequence") == "refuted"
     for solver in (3, "a\nsafe_set proven", "x" * 51, "\ud800"):
         value["bounds"]["solver"] = solver
         with pytest.raises(checker.Malformed, match="solver"):
@@ -503,6 +511,8 @@ def test_the_error_counts_where_the_region_meets_x_and_u():
     D = {"H": SQUARE, "h": [0.3, 0.0, 1.0, 0.0]}
     assert verdict(with_plant(mode(D=D, region=half), f=f), "error_set") == "proven"
     assert verdict(with_plant(mode(D=D), f=f), "error_set") == "refuted"
+    for top in (0.75, 1.5):  # a corner of the box is cut off, which takes no more than half of the error
+        assert verdict(with_plant(mode(D=D, region=((1.0, 0.0, 1.0), top)), f=f), "error_set") == "refuted"
     slanted = ((1.0, 0.0, 1.0), 0.25), ((-1.0, 0.0, 0.0), 0.0)  # x1 >= 0, so that u <= 0.25
     assert verdict(with_plant(mode(D=D, region=slanted), f=f), "error_set") == "proven"
     nowhere = ((1.0, 0.0, 0.0), -2.0)
@@ -782,6 +792,19 @@ def test_what_nobody_reads_costs_little_whatever_it_is(text, says, tmp_path):
         with pytest.raises(checker.Malformed, match=says):
             checker.verify(path, seconds=0.2)
     assert time.process_time() - begin < 6
+
+
+@pytest.mark.parametrize("text", ["1e309", "-1.8e308", "1e399", "9" * 40 + "e299"])
+def test_numbers_are_finite_wherever_they_stand(text):
+    with pytest.raises(checker.Malformed, match="reasonable size"):
+        checker.parse(told(text))
+    assert checker.parse(told("1.79e308"))["claims"]["inputs"]["witness"] == "1.79e308"
+
+
+def test_the_digest_is_not_compared_after_the_time():
+    report = checker.verify(SHIPPED["pwa"], seconds=0)
+    assert report.digest == "not checked" and not report.proven
+    assert all("stopped after 0 s" in result.reason for result in report.results)
 
 
 def test_the_digest_is_made_in_parts():
