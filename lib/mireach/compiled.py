@@ -373,6 +373,26 @@ def inclusion(V, w, local, row, offset, unit):
 
 
 @njit(cache=True)
+def dual_bounds(V, local, row, offset, unit):
+    """Upper bounds of v x over a FAT set of the plane for each row v of V, by weak duality with its rounding counted.
+
+    The arguments are those of `inclusion`; array (k,).
+    """
+    bound, extent = np.zeros(len(V)), _extent(local, row, offset)
+    for k in range(len(V)):
+        most = -10000
+        for j in range(2):
+            if V[k, j] != 0:
+                most = max(most, math.frexp(V[k, j])[1] + unit[j])
+        if most > -10000:
+            v0, v1 = math.ldexp(V[k, 0], unit[0] - most), math.ldexp(V[k, 1], unit[1] - most)
+            value, rest0, rest1 = _dual(v0, v1, local, row, offset)
+            value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
+            bound[k] = math.ldexp(value + ROUNDING * abs(value) + LEAST, most)
+    return bound
+
+
+@njit(cache=True)
 def around(points):
     """Points (k, 2) on the boundary of a convex set, counter-clockwise, without those between two others."""
     count = len(points)
