@@ -253,11 +253,8 @@ def exact_input(net, x):
 
 
 def exactly_inside(P, x):
-    """Whether a rational point is in a Polytope whose numbers are decimals."""
-    return all(
-        sum(Fraction(repr(a)) * value for a, value in zip(row, x)) <= Fraction(repr(b))
-        for row, b in zip(P.H.tolist(), P.h.tolist())
-    )
+    """Whether a rational point is in a Polytope, without rounding."""
+    return all(_exact_dot(row, x) <= Fraction(b) for row, b in zip(P.H.tolist(), P.h.tolist()))
 
 
 def exactly_in_triangle(corners, x):
@@ -280,8 +277,7 @@ def assert_escapes(loop, pieces, escape):
     mode, u = loop.system.modes[escape.mode], exact_input(loop.network, x)
     assert exactly_inside(mode.region, [*x, *u]) and exactly_inside(mode.disturbance, escape.disturbance)
     for i in range(2):
-        row = [Fraction(repr(a)) for a in (*mode.A[i].tolist(), *mode.B[i].tolist())]
-        after = sum(a * value for a, value in zip(row, [*x, *u])) + Fraction(repr(mode.p.tolist()[i]))
+        after = _exact_dot([*mode.A[i].tolist(), *mode.B[i].tolist()], [*x, *u]) + Fraction(mode.p.tolist()[i])
         assert after + escape.disturbance[i] == escape.after[i]
     assert not any(exactly_in_triangle(piece, escape.after) for piece in pieces)
 

@@ -464,8 +464,8 @@ def test_nothing_is_refuted_where_floats_do_not_tell_which_mode_acts(gradient, e
             MaxoutNetwork((), [[gradient, 0.0]], [0.0]),
             mr.Polytope.box([edge / 4, -0.125], [edge, 0.125]),
         )
-    else:  # saturated at the float 0.1, which lies above one tenth
-        limit, net, safe = 0.1, MaxoutNetwork((), [[1.0, 0.0]], [5.0]).saturate([-0.1], [0.1]), box
+    else:  # saturated at the float above the limit
+        limit, net, safe = np.nextafter(0.1, 0), MaxoutNetwork((), [[1.0, 0.0]], [5.0]).saturate([-0.1], [0.1]), box
     modes = [
         mr.Mode(zero, column, [9.0, 0], mr.Polytope([[0, 0, 1.0]], [limit])),
         mr.Mode(zero, column, [edge / 2, 0], mr.Polytope([[0, 0, -1.0]], [-limit])),

@@ -6,6 +6,7 @@ import shapely
 
 import mireach as mr
 from mireach.engines import exact
+from mireach.rational import binary
 from mireach.region import hulls
 
 SQUARE, SMALL = mr.Polytope.box([0, 0], [4, 4]), mr.Polytope.box([1, 1], [3, 3])
@@ -136,4 +137,4 @@ def test_pieces_are_convex_beyond_rounding(seed):
     halves = shapely.Polygon([a, middle, a + across]), shapely.Polygon([middle, b, a + across])
     pieces = mr.Region(shapely.union_all(halves)).pieces
     for i in range(len(pieces)):
-        assert len(exact._hull([exact.binary(x) for x in pieces[i]])) == len(pieces[i])
+        assert len(exact._hull([binary(x) for x in pieces[i]])) == len(pieces[i])

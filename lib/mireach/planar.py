@@ -526,7 +526,7 @@ def _is_thin(fresh, S, slack):
 
 def _inset(X, slack):
     """X with those sides moved inward whose corners, rounded to floats, might lie outside of X."""
-    kept = [sorted(np.abs(a)) == [0, 1] and exact.binary(h) <= exact.decimal(h) for a, h in zip(X.H, X.h)]
+    kept = [sorted(np.abs(a)) == [0, 1] for a in X.H]
     return Polytope(X.H, X.h - np.where(kept, 0.0, slack) * np.linalg.norm(X.H, axis=1))
 
 

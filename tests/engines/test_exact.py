@@ -9,6 +9,7 @@ from loops import affine_loop, assert_escapes, brute_support, exact_input, exact
 
 import mireach as mr
 from mireach.engines import cells, exact
+from mireach.rational import binary
 
 SHRUNK = 0.7  # F of the random questions, as a share of X
 
@@ -48,7 +49,7 @@ def test_cells_hold_every_state_with_the_step_that_fractions_give(seed):
             assert bool(holding) == inside
             for cell in holding:
                 after = exact.successor(loop, point, number, (0, 0))
-                assert tuple(as_fraction(value) for value in cell.image(exact.binary(x))) == after
+                assert tuple(as_fraction(value) for value in cell.image(binary(x))) == after
 
 
 def holds(cell, x):
@@ -60,11 +61,10 @@ def holds(cell, x):
     return len(points) > 2 and (min(turns) >= 0 or max(turns) <= 0)
 
 
-def test_numbers_of_the_plant_are_decimals_and_those_of_the_network_floats():
-    assert as_fraction(exact.decimal(0.1)) == Fraction(1, 10)
-    assert as_fraction(exact.binary(0.1)) == Fraction(0.1) != Fraction(1, 10)
+def test_every_number_is_the_float_that_it_is():
     loop = affine_loop(0.1 * np.eye(2), square(0.1), limits=0.3)
-    assert exact.successor(loop, (1, 2), 0, (Fraction(1, 10), 0)) == (Fraction(2, 10), Fraction(2, 10))
+    expected = Fraction(0.1) + Fraction(1, 10), 2 * Fraction(0.1)
+    assert exact.successor(loop, (1, 2), 0, (Fraction(1, 10), 0)) == expected
 
 
 def test_a_set_that_fits_without_any_margin_is_proven_and_one_ulp_more_is_refuted():
@@ -155,9 +155,9 @@ def test_a_flat_cell_does_not_stand_for_the_whole_of_its_line(flip):
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_segment_that_is_cut_stays_a_segment(side):
-    segment = [exact.binary(x) for x in ([0.0, 0.0], [1.0, 0.0])]
-    cut = exact._clip(segment, exact.binary([side, 0.0]), exact.binary(side * 0.5))
-    assert len(cut) == 2 and exact.binary([0.5, 0.0]) in cut
+    segment = [binary(x) for x in ([0.0, 0.0], [1.0, 0.0])]
+    cut = exact._clip(segment, binary([side, 0.0]), binary(side * 0.5))
+    assert len(cut) == 2 and binary([0.5, 0.0]) in cut
 
 
 def test_a_witness_leaves_flat_parts_as_well():
@@ -166,10 +166,12 @@ def test_a_witness_leaves_flat_parts_as_well():
     assert step.after != (0, 0) and step.after == exact.successor(loop, step.state, step.mode, step.disturbance)
 
 
-def test_limits_of_regions_are_decimals_too():
+def test_a_set_that_ends_just_short_of_a_jump_is_not_refuted_by_it():
     regions = [([[1.0, 0, 0]], [0.1]), ([[-1.0, 0, 0]], [-0.1])]
-    loop = constant_maps(regions, [[9.0, 0], [0.5, 0]], square(3))  # the float 0.1 lies above one tenth
-    assert mr.prove_rpi(loop, mr.Polytope.box([0.1, -1], [1, 1])).verdict == "proven"
+    loop = constant_maps(regions, [[9.0, 0], [0.5, 0]], square(3))
+    beyond = mr.Polytope.box([np.nextafter(0.1, 1), -1], [1, 1])
+    assert mr.prove_rpi(loop, beyond).verdict == "proven"
+    assert mr.prove_rpi(loop, mr.Polytope.box([0.1, -1], [1, 1])).verdict == "refuted"
 
 
 def test_a_flat_cell_is_cut_by_rows_of_u():

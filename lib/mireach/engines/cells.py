@@ -33,7 +33,7 @@ MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """The half-planes of x beyond which the state or a mode ends: rows H x <= h of X and of regions, as decimals.
+    """The half-planes of x beyond which the state or a mode ends: rows H x <= h of X and of regions.
 
     Attributes
     ----------
@@ -347,7 +347,7 @@ def _domains(regions, state_set):
 
 
 def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
-    """The corners of {x in P : H x <= h} for a bounded Polytope P, numbers being decimals: array (v, 2).
+    """The corners of {x in P : H x <= h} for a bounded Polytope P: array (v, 2).
 
     They are off by no more than the rounding that `SHAPED` cuts count for, or further out where a tip is sharp.
     """
@@ -356,7 +356,7 @@ def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
     corner, touch = CORNER * size, TOUCH * size
     start, around = P.vertices(), Polytope.box(*(box + np.array([[-1.0], [1.0]]))).vertices()
     both = Polytope(np.vstack([P.H, H]), np.concatenate([P.h, h]))
-    rows = _blunted(both, nowhere, size, decimal=True)
+    rows = _blunted(both, nowhere, size)
     if len(rows[1]) > len(both.h):
         return _part(around, *rows, SHAPED * corner, touch)
     careful = _part(around, P.H, P.h, np.full(len(P.h), -1), 4 * corner, touch)
@@ -458,20 +458,19 @@ def _highest(every, F, rows, chosen):
     return highest(*asked, every.M, every.c, every.error, rows.spread, rows.heights, rows.tops, rows.V, chosen)
 
 
-def _blunted(F, walls, size, decimal=False):
+def _blunted(F, walls, size):
     """The rows of F, and one across every sharp tip that they make with each other or with a wall.
 
-    Returns H, h and the mode (-1 for all) to which each row belongs. With `decimal` the numbers of F are decimals
-    like those of the walls; else they are the floats they are.
+    Returns H, h and the mode (-1 for all) to which each row belongs.
     """
     pairs, count = sharp_pairs(F.H, F.h, walls.H, walls.h, size, PARALLEL, SHARP), len(F.h)
     only, tips = np.full(count, -1), []
     for r, s in pairs:
-        first = _exact_row(F.H[r], F.h[r], decimal)
+        first = _exact_row(F.H[r], F.h[r])
         if s < count:
-            second, mode = _exact_row(F.H[s], F.h[s], decimal), -1
+            second, mode = _exact_row(F.H[s], F.h[s]), -1
         else:
-            second, mode = _exact_row(walls.H[s - count], walls.h[s - count], True), walls.mode[s - count]
+            second, mode = _exact_row(walls.H[s - count], walls.h[s - count]), walls.mode[s - count]
         tips.append((*_across(F.H[r], first, second), mode))
     if not tips:
         return F.H, F.h, only
@@ -480,9 +479,9 @@ def _blunted(F, walls, size, decimal=False):
     return blunt.H, blunt.h, np.append(only, [mode for _, _, mode in tips])
 
 
-def _exact_row(a, b, decimal):
+def _exact_row(a, b):
     """A half-plane a x <= b as three Fractions."""
-    return [Fraction(repr(value)) if decimal else Fraction(value) for value in (*a.tolist(), float(b))]
+    return [Fraction(value) for value in (*a.tolist(), float(b))]
 
 
 def _across(normal, first, second):

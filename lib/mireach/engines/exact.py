@@ -1,13 +1,10 @@
 """The cells of a closed loop in the plane in rational arithmetic: no rounding, so an answer is a proof.
 
-What the numbers mean: data of the plant (A, B, p, regions, X, disturbance sets) are the decimals that are
-written, 0.1 is one tenth; weights of the network, templates and corners of pieces are the floats they are.
-Rationals are python-flint's `fmpq`. A polygon is a list of its corners, in order around it and none of them
-superfluous; one corner is a point, two are a segment.
+Every number is the float that it is (`rational`). A polygon is a list of its corners, in order around it and none
+of them superfluous; one corner is a point, two are a segment.
 """
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
 
@@ -15,6 +12,7 @@ import numpy as np
 
 from ..balls import flint
 from ..polytope import Polytope
+from ..rational import above, binary, dot, fractions, nearest, rational
 from . import cells as float_cells
 from .common import Support, checked_query, empty_support, replay
 
@@ -100,23 +98,23 @@ def support(loop, F, V, steps=1):
     every, spread, parts = cells(loop), disturbances(loop), {}
     heights, near, best = _heights(loop, V), _near(loop, F), []
     for k, v in enumerate(map(binary, V.tolist())):
-        farthest = [max(corners, key=lambda d: _dot(v, d)) for corners in spread]
+        farthest = [max(corners, key=lambda d: dot(v, d)) for corners in spread]
         found = None
         for j in near[np.argsort(-heights[near, k], kind="stable")].tolist():
-            if found is not None and heights[j, k] < _nearest(found[0]):  # nor do the cells that follow reach higher
+            if found is not None and heights[j, k] < nearest(found[0]):  # nor do the cells that follow reach higher
                 break
             if j not in parts:
                 parts[j] = _clip_all(every[j].corners, rows)
             d = farthest[every[j].mode]
             for x in parts[j]:
-                value = _dot(v, every[j].image(x)) + _dot(v, d)
+                value = dot(v, every[j].image(x)) + dot(v, d)
                 if found is None or value > found[0]:
                     found = (value, every[j].mode, x, d)
         if found is None:
             return empty_support(len(V))
         best.append(found)
-    value, bound = (np.array([rounded(found[0]) for found in best]) for rounded in (_nearest, _above))
-    floats = [[np.array([_nearest(entry) for entry in pair]) for pair in found[2:]] for found in best]
+    value, bound = (np.array([rounded(found[0]) for found in best]) for rounded in (nearest, above))
+    floats = [[np.array([nearest(entry) for entry in pair]) for pair in found[2:]] for found in best]
     witness = tuple(replay(loop, x, [found[1]], [d]) for found, (x, d) in zip(best, floats))
     return Support(value, bound, witness)
 
@@ -151,17 +149,17 @@ def first_escape(loop, pieces):
     """
     flint()
     hulls = [_hull([binary(corner) for corner in piece]) for piece in pieces]
-    limits = _decimal_rows(loop.system.state_set)
+    limits = _rows(loop.system.state_set)
     for corners in hulls:
         for x in corners:
-            if any(_dot(a, x) > b for a, b in limits):
-                return Escape(_fractions(x))
+            if any(dot(a, x) > b for a, b in limits):
+                return Escape(fractions(x))
     every = cells(loop)
     around = [(_sides(cell.corners), _box(cell.corners)) for cell in every]
     for corners in hulls:
         gap = _less(corners, around)
         if gap:
-            return Escape(_fractions(_middle(gap)))
+            return Escape(fractions(_middle(gap)))
     sides, boxes = [_sides(corners) for corners in hulls], np.array([_box(corners) for corners in hulls])
     others = list(zip(sides, boxes.tolist()))
     spread = disturbances(loop)
@@ -190,17 +188,14 @@ def first_escape(loop, pieces):
 
 def successor(loop, state, mode, disturbance):
     """A x + B Phi(x) + p + d of a mode for rational x and d: pair of Fraction."""
-    q = flint().fmpq
-    x, d = (
-        [q(Fraction(entry).numerator, Fraction(entry).denominator) for entry in pair] for pair in (state, disturbance)
-    )
+    x, d = rational(state), rational(disturbance)
     y = x
     for layer in loop.network.hidden:
-        z = [_dot(binary(row), y) + binary(b) for row, b in zip(layer.weight.tolist(), layer.bias.tolist())]
+        z = [dot(binary(row), y) + binary(b) for row, b in zip(layer.weight.tolist(), layer.bias.tolist())]
         y = [max(z[i : i + layer.pool]) for i in range(0, len(z), layer.pool)]
-    u = [_dot(binary(row), y) + binary(b) for row, b in zip(loop.network.weight.tolist(), loop.network.bias.tolist())]
-    A, B, p = (decimal(getattr(loop.system.modes[mode], name).tolist()) for name in "ABp")
-    return _fractions([_dot(A[i], x) + _dot(B[i], u) + p[i] + d[i] for i in range(2)])
+    u = [dot(binary(row), y) + binary(b) for row, b in zip(loop.network.weight.tolist(), loop.network.bias.tolist())]
+    A, B, p = (binary(getattr(loop.system.modes[mode], name).tolist()) for name in "ABp")
+    return fractions([dot(A[i], x) + dot(B[i], u) + p[i] + d[i] for i in range(2)])
 
 
 def growth(C, before, h, centre):
@@ -213,7 +208,7 @@ def growth(C, before, h, centre):
     before, h : array (l,)
         Offsets of R_before and R.
     centre : array (2,)
-        c, decimals.
+        c.
 
     Returns
     -------
@@ -221,55 +216,14 @@ def growth(C, before, h, centre):
         None if c is not inside R.
     """
     rows = [(binary(a), binary(b)) for a, b in zip(np.asarray(C).tolist(), h.tolist())]
-    corners, c = _bounded(Polytope(C, h), rows), decimal(list(centre))
+    corners, c = _bounded(Polytope(C, h), rows), binary(list(centre))
     shares = []
     for (a, _), limit in zip(rows, before.tolist()):
-        size = max((_dot(a, x) for x in corners), default=_dot(a, c)) - _dot(a, c)
+        size = max((dot(a, x) for x in corners), default=dot(a, c)) - dot(a, c)
         if size <= 0:
             return None
-        shares.append((binary(limit) - _dot(a, c)) / size)
-    return _fractions([min(shares)])[0]
-
-
-# -- numbers ------------------------------------------------------------------------------------------
-
-
-def binary(value):
-    """A float as the binary fraction that it is; lists are taken entry by entry."""
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return tuple(binary(entry) for entry in value)
-    return flint().fmpq(*float(value).as_integer_ratio())
-
-
-def decimal(value):
-    """A float as the shortest decimal that reads back to it; lists are taken entry by entry."""
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return tuple(decimal(entry) for entry in value)
-    written = Fraction(repr(float(value)))
-    return flint().fmpq(written.numerator, written.denominator)
-
-
-def _fractions(pair):
-    """Several fmpq as Fractions of the standard library."""
-    return tuple(Fraction(int(value.p), int(value.q)) for value in pair)
-
-
-def _nearest(value):
-    """The float nearest to an fmpq."""
-    return int(value.p) / int(value.q)
-
-
-def _above(value):
-    """The smallest float that is not below an fmpq."""
-    near = _nearest(value)
-    return near if binary(near) >= value else float(np.nextafter(near, np.inf))
-
-
-def _dot(a, b):
-    total = a[0] * b[0]
-    for left, right in zip(a[1:], b[1:]):
-        total += left * right
-    return total
+        shares.append((binary(limit) - dot(a, c)) / size)
+    return fractions([min(shares)])[0]
 
 
 # -- polygons -----------------------------------------------------------------------------------------
@@ -277,7 +231,7 @@ def _dot(a, b):
 
 def _clip(corners, a, b):
     """The part of a polygon with a x <= b."""
-    excess = [_dot(a, x) - b for x in corners]
+    excess = [dot(a, x) - b for x in corners]
     if all(value <= 0 for value in excess):
         return corners
     kept = []
@@ -329,12 +283,12 @@ def _sides(corners):
     if len(corners) == 1:
         one, none = flint().fmpq(1), flint().fmpq(0)
         normals = [(one, none), (none, one), (-one, none), (none, -one)]
-        return [(a, _dot(a, x)) for a in normals]
+        return [(a, dot(a, x)) for a in normals]
     ahead = [(y[0] - x[0], y[1] - x[1]) for x, y in zip(corners, corners[1:] + corners[:1])]
     rows = [((t[1], -t[0]), x) for t, x in zip(ahead, corners)]
     if len(corners) == 2:
         rows += [(t, y) for t, y in zip(ahead, corners[::-1])]
-    return [(a, _dot(a, x)) for a, x in rows]
+    return [(a, dot(a, x)) for a, x in rows]
 
 
 def _less(corners, others):
@@ -361,7 +315,7 @@ def _less_one(part, sides):
     dimension, outside = min(len(part), 3), []
     inside = part
     for a, b in sides:
-        beyond = [_dot(a, x) > b for x in inside]
+        beyond = [dot(a, x) > b for x in inside]
         if any(beyond):
             outside.append(_clip(inside, tuple(-entry for entry in a), -b))
             inside = _clip(inside, a, b)
@@ -377,7 +331,7 @@ def _middle(corners):
 
 def _box(corners):
     """A box (left, bottom, right, top) in floats that certainly holds the polygon."""
-    x, y = [_nearest(point[0]) for point in corners], [_nearest(point[1]) for point in corners]
+    x, y = [nearest(point[0]) for point in corners], [nearest(point[1]) for point in corners]
     around = AROUND * (1 + max(abs(min(x)), abs(max(x)), abs(min(y)), abs(max(y))))
     return min(x) - around, min(y) - around, max(x) + around, max(y) + around
 
@@ -399,7 +353,7 @@ def _escape(mode, image, ends, rest):
         tuple(sum((share * ends[corner][which][i] for corner, share in shares), flint().fmpq(0)) for i in range(2))
         for which in (0, 1)
     )
-    return Escape(_fractions(state), mode, _fractions(disturbance), _fractions(y))
+    return Escape(fractions(state), mode, fractions(disturbance), fractions(y))
 
 
 def _shares(corners, y):
@@ -409,7 +363,7 @@ def _shares(corners, y):
         return [(first, flint().fmpq(1))]
     if len(corners) == 2:
         along = [b - a for a, b in zip(*corners)]
-        share = _dot(along, [b - a for a, b in zip(first, y)]) / _dot(along, along)
+        share = dot(along, [b - a for a, b in zip(first, y)]) / dot(along, along)
         return [(first, 1 - share), (corners[1], share)]
     for second, third in pairwise(corners[1:]):
         whole = _turn(first, second, third)
@@ -436,8 +390,8 @@ def cells(loop):
     pieces = list(_affine_pieces(loop.network, X))
     boxes = np.array([_box(corners) for corners, _, _ in pieces])
     for number, mode in enumerate(loop.system.modes):
-        A, B, p = (decimal(getattr(mode, name).tolist()) for name in "ABp")
-        rows = _decimal_rows(mode.region)
+        A, B, p = (binary(getattr(mode, name).tolist()) for name in "ABp")
+        rows = _rows(mode.region)
         of_x = [(a[:2], b) for a, b in rows if not any(a[2:])]
         domain = _clip_all(X, of_x)
         for i in np.flatnonzero(_meeting(boxes, np.array(_box(domain)))) if domain else ():
@@ -447,11 +401,11 @@ def cells(loop):
                 continue
             for a, b in rows:
                 if any(a[2:]) and corners:
-                    of_u = tuple(_dot(a[2:], [row[i] for row in K]) for i in range(2))
-                    corners = _clip(corners, (a[0] + of_u[0], a[1] + of_u[1]), b - _dot(a[2:], g))
+                    of_u = tuple(dot(a[2:], [row[i] for row in K]) for i in range(2))
+                    corners = _clip(corners, (a[0] + of_u[0], a[1] + of_u[1]), b - dot(a[2:], g))
             if corners:
-                M = tuple(tuple(A[i][j] + _dot(B[i], [row[j] for row in K]) for j in range(2)) for i in range(2))
-                c = tuple(_dot(B[i], g) + p[i] for i in range(2))
+                M = tuple(tuple(A[i][j] + dot(B[i], [row[j] for row in K]) for j in range(2)) for i in range(2))
+                c = tuple(dot(B[i], g) + p[i] for i in range(2))
                 found.append(ExactCell(corners, number, M, c))
     return tuple(found)
 
@@ -476,7 +430,7 @@ def _near(loop, F):
 def _floats(loop):
     """The corners of all cells and M x + c in them as floats, (T, 2) each, and where each cell's begin (cells,)."""
     corners, images = (
-        [[[_nearest(entry) for entry in pair] for pair in pairs] for pairs in found]
+        [[[nearest(entry) for entry in pair] for pair in pairs] for pairs in found]
         for found in zip(*((cell.corners, map(cell.image, cell.corners)) for cell in cells(loop)))
     )
     return np.concatenate(corners), np.concatenate(images), np.cumsum([0, *map(len, corners[:-1])])
@@ -488,30 +442,31 @@ def disturbances(loop):
     Raises
     ------
     ValueError
-        If the decimals of a set have no point in common.
+        If a set is empty without rounding.
     """
     found = {}
     for number, mode in enumerate(loop.system.modes, start=1):
         if mode.disturbance not in found:
             found[mode.disturbance] = _polygon(mode.disturbance)
         if not found[mode.disturbance]:
-            raise ValueError(f"the disturbance set of mode {number} is empty if its numbers are read as decimals")
+            raise ValueError(f"the disturbance set of mode {number} is empty in rational arithmetic")
     return [found[mode.disturbance] for mode in loop.system.modes]
 
 
-def _decimal_rows(P):
-    return list(zip(decimal(P.H.tolist()), decimal(P.h.tolist())))
+def _rows(P):
+    """The half-planes (a, b) of a Polytope."""
+    return list(zip(binary(P.H.tolist()), binary(P.h.tolist())))
 
 
 def _polygon(P):
-    """The corners of a bounded Polytope whose numbers are decimals."""
-    return _bounded(P, _decimal_rows(P))
+    """The corners of a bounded Polytope."""
+    return _bounded(P, _rows(P))
 
 
 def _bounded(P, rows):
     """The corners of a bounded Polytope whose rows are (a, b) without rounding."""
     lower, upper = P.bounding_box()
-    (left, bottom), (right, top) = decimal((lower - 1).tolist()), decimal((upper + 1).tolist())
+    (left, bottom), (right, top) = binary((lower - 1).tolist()), binary((upper + 1).tolist())
     return _clip_all([(left, bottom), (right, bottom), (right, top), (left, top)], rows)
 
 
@@ -561,7 +516,7 @@ def _by_winner(corners, channels):
                 continue
             *a, b = (entry - own for entry, own in zip(other, channel))
             part = _clip(part, a, -b)
-            if i < j and all(_dot(a, x) == -b for x in part):  # a tie on all of it: the first channel has it
+            if i < j and all(dot(a, x) == -b for x in part):  # a tie on all of it: the first channel has it
                 part = []
         if len(part) >= min(len(corners), 3):
             found.append((part, j))
