@@ -117,7 +117,7 @@ class _Rows:
 
     def bound_without_limits(self, c, y, low, high, free):
         """(b, e) with c x <= b + sum of e_j |x_j| over the columns `free`, the others lying in low <= x <= high."""
-        rows, reduced, terms = self._split(c, y)
+        _, reduced, terms = self._split(c, y)
         inside = self.bound(c, y, np.where(free, 0, low), np.where(free, 0, high))
         return inside, (np.abs(reduced) + self._rounding * terms)[free]
 
@@ -350,15 +350,18 @@ class LinearProgram:
             claimed = self._search(True, gap, None, None if time_limit is None else time_limit / 2)
         except SolverError:
             claimed = IntegerOptimum(np.inf, None, False, False)
-        goal = max(enough, claimed.bound + gap * (1 + abs(claimed.bound))) if claimed.finished else enough
+        goal = enough
+        if claimed.finished and claimed.bound > -np.inf:
+            goal = max(enough, claimed.bound + MIP_TOLERANCE * (1 + abs(claimed.bound)))
         remaining = None if time_limit is None else max(time_limit - (perf_counter() - begin), 0.0)
         found = self._branch(gap, goal, PROOF_NODES, remaining)
         if found.point is None and claimed.point is not None:
             found = replace(found, point=claimed.point)
-        if found.finished or (remaining is not None and perf_counter() - begin >= time_limit):
+        remaining = None if time_limit is None else time_limit - (perf_counter() - begin)
+        if found.finished or (remaining is not None and remaining <= 0):
             return found
         try:
-            other = self._search(False, gap, None, None)
+            other = self._search(False, gap, None, remaining)
         except SolverError:
             other = claimed
         said = max(claimed.bound, other.bound)
@@ -476,7 +479,7 @@ class LinearProgram:
                 best, point = self._proven_by_wider_rows(c, lower, upper)
         finally:
             self.highs.setOptionValue("simplex_strategy", DUAL)
-        return Optimum(min(best, rows.bound(c, np.zeros(len(rows.lower)), lower, upper)), point)
+        return Optimum(best if best < np.inf else rows.bound(c, np.zeros(len(rows.lower)), lower, upper), point)
 
     def _proven_by_wider_rows(self, c, lower, upper):
         """(bound, point): the multipliers are those of rows that are moved outward until HiGHS finds a point."""

@@ -1,0 +1,223 @@
+"""Trajectories that are attained without rounding: a float state is tried, moved inward where it has to be, and replayed.
+
+Points of linear programs lie outside of their sets by the solver's tolerance, and at the tip of a needle far outside.
+What is said to be attained here comes from a state that satisfies every constraint in rational arithmetic.
+"""
+
+from functools import lru_cache
+from time import perf_counter
+
+import numpy as np
+
+from .. import rational
+from ..balls import flint
+from .common import Witness
+
+INWARD = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4)  # shares of the way to a centre by which a state is moved, one after another
+CLOSE = 1e-7  # a value this close to what floats claimed is taken at once (relative to 1 + its size)
+CACHED = 64  # loops and disturbance sets that are kept as rationals
+
+
+class Attained:
+    """A trajectory of the loop in rational arithmetic.
+
+    Attributes
+    ----------
+    value : float
+        v x(k) (or v u(0)), rounded downward.
+    states, inputs, disturbances : list of tuples of fmpq
+    modes : list of int
+    """
+
+    def __init__(self, value, states, inputs, modes, disturbances):
+        self.value, self.states, self.inputs = rational.below(value), states, inputs
+        self.modes, self.disturbances = modes, disturbances
+
+    def witness(self):
+        """The trajectory, rounded to floats, as a Witness."""
+        n, m, steps = len(self.states[0]), len(self.inputs[0]), len(self.modes)
+        return Witness(
+            _floats(self.states).reshape(-1, n),
+            _floats(self.inputs).reshape(-1, m)[:steps],
+            np.array(self.modes, int),
+            _floats(self.disturbances).reshape(-1, n),
+        )
+
+
+def attained(loop, F, v, paths, inputs=False, end=np.inf):
+    """The best Attained that is found near float trajectories, or None.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+        In X; where trajectories start.
+    v : array (n,), or (m,) for inputs
+    paths : list of (value, (x(0), modes, disturbances))
+        The best first, `value` being what floats claim. The last disturbance is chosen anew.
+    inputs : bool
+        Ask for v u(0) instead of v x(k).
+    end : float
+        The `perf_counter` after which each path is tried once only.
+    """
+    exact, best = _exact(loop), None
+    inside, v = _rows(F), rational.binary(v)
+    for claimed, (x, modes, disturbances) in paths:
+        if best is not None and best.value >= claimed - CLOSE * (1 + abs(claimed)):
+            break
+        for start in _starts(loop, F, np.asarray(x, float), modes):
+            found = exact.replay(inside, v, start(), modes, disturbances, inputs)
+            if found is not None and (best is None or found.value > best.value):
+                best = found
+            if (best is not None and best.value >= claimed - CLOSE * (1 + abs(claimed))) or perf_counter() > end:
+                break
+    return best
+
+
+def _starts(loop, F, x, modes):
+    """Functions that make states near x: x itself, then moved towards centres, then the nearest rational points."""
+    yield lambda: rational.binary(x)
+    parts = [_part(loop, F, modes[0]), F] if modes else [F]
+    for part in parts:
+        centre = _centre(part)
+        if centre is not None:
+            for share in INWARD:
+                yield lambda centre=centre, share=share: rational.binary(x + share * (centre - x))
+    for part in parts:
+        yield lambda part=part: _nearest(part, x)
+
+
+@lru_cache(maxsize=4 * CACHED)
+def _part(loop, F, mode):
+    """F and what the region of a mode says of x alone."""
+    return loop.system.state_regions()[mode] & F
+
+
+@lru_cache(maxsize=4 * CACHED)
+def _centre(P):
+    """The centre of a large ball in P, or None where P is flat or empty."""
+    centre, radius = P.chebyshev()
+    return centre if centre is not None and radius > 0 else None
+
+
+def _nearest(P, x):
+    """The point of P that is nearest to x in the sum of distances, or None if P is empty: a linear program."""
+    zero, one, n = flint().fmpq(0), flint().fmpq(1), len(x)
+    H, h = _rows(P)
+    rows, limits = [(*row, *[zero] * n) for row in H], list(h)
+    for i, entry in enumerate(rational.binary(x)):
+        for sign in (one, -one):  # |x_i - entry| <= t_i
+            row = [zero] * (2 * n)
+            row[i], row[n + i] = sign, -one
+            rows.append(tuple(row))
+            limits.append(sign * entry)
+    found = rational.maximize(rows, limits, (*[zero] * n, *[-one] * n))
+    return None if found.point is None else found.point[:n]
+
+
+@lru_cache(maxsize=4 * CACHED)
+def _rows(P):
+    """H and h as rationals."""
+    return rational.binary(P.H), rational.binary(P.h)
+
+
+@lru_cache(maxsize=64 * CACHED)
+def _farthest(D, v):
+    """A point of D that attains its support function along the rational vector v, or None if D is empty."""
+    lp, row = D._program, np.array([rational.nearest(entry) for entry in v])
+    point = lp[0].maximize(lp[1], row).point
+    tight = () if point is None else np.argsort(np.abs(D.H @ point - D.h))[: D.dimension].tolist()
+    return rational.maximize(*_rows(D), v, tight).point
+
+
+@lru_cache(maxsize=CACHED)
+def _exact(loop):
+    return _ExactLoop(loop)
+
+
+class _ExactLoop:
+    """A closed loop as rationals."""
+
+    def __init__(self, loop):
+        self.layers = [(_sparse(layer.weight, layer.bias), layer.pool) for layer in loop.network.hidden]
+        self.output = _sparse(loop.network.weight, loop.network.bias)
+        self.modes = [
+            (
+                _sparse(mode.region.H, -mode.region.h),
+                _sparse(np.hstack([mode.A, mode.B]), mode.p),
+                mode.disturbance,
+            )
+            for mode in loop.system.modes
+        ]
+        X = loop.system.state_set
+        self.state_set = _sparse(X.H, -X.h)
+
+    def network(self, x):
+        """Phi(x)."""
+        for rows, pool in self.layers:
+            z = _values(rows, x)
+            x = [max(z[i : i + pool]) for i in range(0, len(z), pool)]
+        return _values(self.output, x)
+
+    def replay(self, inside, v, x, modes, disturbances, inputs):
+        """The Attained from x: given modes and disturbances, at the last step the best of both; None if none exists."""
+        if x is None or any(rational.dot(row, x) > limit for row, limit in zip(*inside)):
+            return None
+        states, used, acted, moved = [tuple(x)], [], [], []
+        for j in range(max(len(modes), 1)):
+            xu = (*states[-1], *self.network(states[-1]))
+            used.append(xu[len(x) :])
+            if inputs:
+                return Attained(rational.dot(v, used[0]), states, used, [], [])
+            if j and max(_values(self.state_set, states[-1])) > 0:
+                return None
+            last = j + 1 == len(modes)
+            ends = []
+            for i in range(len(self.modes)) if last else [modes[j]]:
+                region, image, D = self.modes[i]
+                if region and max(_values(region, xu)) > 0:
+                    continue
+                d = _farthest(D, v) if last else self._inside(D, disturbances[j])
+                if d is not None:
+                    after = tuple(a + b for a, b in zip(_values(image, xu), d))
+                    ends.append((rational.dot(v, after), after, i, d))
+            if not ends:
+                return None
+            value, after, i, d = max(ends, key=lambda end: end[0])
+            states.append(after)
+            acted.append(i)
+            moved.append(d)
+        return Attained(value, states, used, acted, moved)
+
+    @staticmethod
+    def _inside(D, d):
+        """A disturbance near d that lies in D, or None."""
+        H, h = _rows(D)
+        centre = _centre(D)
+        for share in (0.0, *INWARD) if centre is not None else (0.0,):
+            moved = rational.binary(d if centre is None else d + share * (centre - d))
+            if all(rational.dot(row, moved) <= limit for row, limit in zip(H, h)):
+                return moved
+        return _nearest(D, np.asarray(d, float))
+
+
+def _sparse(matrix, offsets):
+    """Rows of matrix y + offsets as lists of (column, coefficient), and the offset."""
+    return [
+        ([(int(k), rational.binary(row[k])) for k in np.flatnonzero(row)], rational.binary(offset))
+        for row, offset in zip(matrix, offsets)
+    ]
+
+
+def _values(rows, y):
+    """The values of sparse rows at y."""
+    found = []
+    for terms, total in rows:
+        for k, coefficient in terms:
+            total = total + coefficient * y[k]
+        found.append(total)
+    return found
+
+
+def _floats(vectors):
+    return np.array([[rational.nearest(entry) for entry in vector] for vector in vectors], float)
