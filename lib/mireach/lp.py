@@ -5,6 +5,8 @@ the rounding of the computation added (`_Rows.bound`). A program is called empty
 `maximize` returns HiGHS's own answer, to within its tolerances.
 """
 
+import math
+import sys
 from dataclasses import dataclass, replace
 from functools import wraps
 from threading import Lock
@@ -26,6 +28,7 @@ PROOF_NODES = 100_000  # of the search tree over more binaries, after which HiGH
 OPEN = 1e-6  # a relaxed binary that is closer to an integer is branched on only if no other is open
 RELAXED = (1e-9, 1e-7, 1e-5, 1e-3)  # rows are widened by this where HiGHS finds no point and no proof of that
 WELL_SCALED = 2.0**-10  # HiGHS's own bound is not used where a row has coefficients of more different sizes
+DENSE = 100_000  # entries up to which a matrix of rows is kept dense, for speed
 ROUNDOFF = 2.0**-52  # twice the unit roundoff: a sum of k terms is off by less than k ROUNDOFF times their sizes
 
 DUAL, PRIMAL = 1, 4  # HiGHS's numbers for its simplex methods; the dual one is its default
@@ -82,13 +85,13 @@ class _Rows:
 
     Attributes
     ----------
-    transposed, size : csr_array (columns, rows)
+    transposed, size : csr_array or array (columns, rows)
         A' and |A|'.
     lower, upper : array (rows,)
     """
 
-    transposed: csr_array
-    size: csr_array
+    transposed: csr_array | np.ndarray
+    size: csr_array | np.ndarray
     lower: np.ndarray
     upper: np.ndarray
 
@@ -98,7 +101,11 @@ class _Rows:
         starts = np.cumsum([0, *(len(indices) for indices, *_ in rows)])
         indices = np.concatenate([np.zeros(0, np.int32), *(row[0] for row in rows)])
         values = np.concatenate([np.zeros(0), *(row[1] for row in rows)])
-        transposed = csr_array(csr_array((values, indices, starts), shape=(len(rows), columns)).T)
+        if len(rows) * columns <= DENSE:
+            transposed = np.zeros((columns, len(rows)))
+            transposed[indices, np.repeat(np.arange(len(rows)), np.diff(starts))] = values
+        else:
+            transposed = csr_array(csr_array((values, indices, starts), shape=(len(rows), columns)).T)
         lower, upper = (np.array([row[end] for row in rows], float) for end in (2, 3))
         return cls(transposed, abs(transposed), lower, upper)
 
@@ -219,9 +226,11 @@ class LinearProgram:
         """
         coefficients = np.asarray(coefficients, float)
         lower, upper = float(lower), float(upper)
-        _, exponent = np.frexp(np.abs(coefficients).max(initial=0))
-        coefficients = np.ldexp(coefficients, -exponent)
-        lower, upper = -_scaled_up(-lower, -exponent), _scaled_up(upper, -exponent)
+        _, exponent = math.frexp(np.abs(coefficients).max(initial=0))
+        scaled = np.ldexp(coefficients, -exponent)
+        if exponent < 0 or (np.ldexp(scaled, exponent) == coefficients).all():  # else numbers would become too small
+            coefficients = scaled
+            lower, upper = -_scaled_up(-lower, -exponent), _scaled_up(upper, -exponent)
         used = coefficients != 0
         indices, coefficients = np.asarray(columns, np.int32)[used], coefficients[used]
         self._known_rows = None
@@ -516,7 +525,7 @@ class LinearProgram:
         if self._known_limits is None:
             self._known_limits = self.lower.copy(), self.upper.copy()
             chosen = np.flatnonzero(free).astype(np.int32)
-            costed, costs = self._costed, self._costs * self._factor
+            costed, costs = self._costed, self._costs
             b, e = np.full((2, len(chosen)), np.inf), np.zeros((2, len(chosen), len(chosen)))
             for i, sign in enumerate((-1.0, 1.0)):
                 for k, column in enumerate(chosen):
@@ -568,12 +577,15 @@ class LinearProgram:
         """Replace the objective; the constraints and the basis stay. HiGHS sees it multiplied by a power of two."""
         self.highs.changeColsCost(len(self._costed), self._costed, np.zeros(len(self._costed)))
         self._costed, self._costs = np.array(columns, np.int32), np.array(coefficients, float)
-        _, exponent = np.frexp(np.abs(self._costs).max(initial=0))
-        self._factor = 2.0 ** -float(np.clip(exponent, -1000, 1000))
+        _, exponent = math.frexp(np.abs(self._costs).max(initial=0))
+        self._factor = 2.0 ** -max(-1000, min(exponent, 1000))
         self.highs.changeColsCost(len(self._costed), self._costed, self._costs * self._factor)
 
 
 def _scaled_up(limit, exponent):
     """limit 2^exponent, rounded upward where it is too small or too large for a float."""
-    scaled = float(np.ldexp(limit, exponent))
-    return scaled if np.ldexp(scaled, -exponent) >= limit else float(np.nextafter(scaled, np.inf))
+    try:
+        scaled = math.ldexp(limit, exponent)
+    except OverflowError:
+        scaled = math.inf if limit > 0 else -sys.float_info.max
+    return scaled if scaled == math.inf or math.ldexp(scaled, -exponent) >= limit else math.nextafter(scaled, math.inf)

@@ -1,4 +1,4 @@
-"""Trajectories that are attained without rounding: a float state is tried, moved inward where it has to be, and replayed.
+"""Trajectories that are attained without rounding: float states are tried, moved inward where they have to be.
 
 Points of linear programs lie outside of their sets by the solver's tolerance, and at the tip of a needle far outside.
 What is said to be attained here comes from a state that satisfies every constraint in rational arithmetic.

@@ -86,6 +86,7 @@ def proven_support(P, V):
     return found
 
 
+@lru_cache(maxsize=CACHED)
 def proven_box(P):
     """A box (lower (n,), upper (n,)) around a bounded Polytope; lower > upper if it is proven to be empty."""
     identity = np.eye(P.dimension)

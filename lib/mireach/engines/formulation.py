@@ -154,7 +154,7 @@ def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None
     Returns
     -------
     Model, or None
-        None if it is proven that F & X is empty or that no mode can be met.
+        None if it is proven that no mode can be met, or, without a box, that F & X is empty.
 
     Raises
     ------
@@ -165,13 +165,13 @@ def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None
         raise ValueError(f"bounds must be one of {METHODS}; got {bounds!r}")
     if formulation not in ("whole", "paper"):
         raise ValueError(f'formulation must be "whole" or "paper" for a single model; got {formulation!r}')
-    start = F & loop.system.state_set
-    if is_proven_empty(start):
-        return None
     if box is None:
+        start = F & loop.system.state_set
+        if is_proven_empty(start):
+            return None
         box = root_box(loop, start, steps)
     if formulation == "paper":
-        return _paper(loop, start, box, steps)
+        return _paper(loop, F, box, steps)
     if known is None and bounds != "interval":
         known = bound_loop(loop, box, steps).at(0)
     n, X, lp = loop.system.state_size, loop.system.state_set, LinearProgram()
