@@ -29,6 +29,7 @@ OPEN = 1e-6  # a relaxed binary that is closer to an integer is branched on only
 RELAXED = (1e-9, 1e-7, 1e-5, 1e-3)  # rows are widened by this where HiGHS finds no point and no proof of that
 WELL_SCALED = 2.0**-10  # HiGHS's own bound is not used where a row has coefficients of more different sizes
 DENSE = 100_000  # entries up to which a matrix of rows is kept dense, for speed
+UNDERFLOW = 2.0**-1000  # more than all products lose that are too small for a float
 ROUNDOFF = 2.0**-52  # twice the unit roundoff: a sum of k terms is off by less than k ROUNDOFF times their sizes
 
 DUAL, PRIMAL = 1, 4  # HiGHS's numbers for its simplex methods; the dual one is its default
@@ -118,7 +119,8 @@ class _Rows:
         rows, reduced, terms = self._split(c, y)
         columns = np.where(reduced > 0, high, np.where(reduced < 0, low, 0)) * reduced
         extent = np.where(terms > 0, np.maximum(np.abs(low), np.abs(high)), 0)
-        rounding = self._rounding * (np.abs(rows).sum() + extent @ terms) + 2.0**-1000
+        size = np.abs(rows).sum() + extent @ terms
+        rounding = self._rounding * size + (UNDERFLOW if 0 < size < 2.0**-900 else 0.0)
         total = float(rows.sum() + columns.sum() + rounding)
         return np.inf if np.isnan(total) else total
 

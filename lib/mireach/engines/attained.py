@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import rational
 from ..balls import flint
+from ..polytope import Polytope
 from .common import Witness
 
 INWARD = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4)  # shares of the way to a centre by which a state is moved, one after another
@@ -65,7 +66,7 @@ def attained(loop, F, v, paths, inputs=False, end=np.inf):
     for claimed, (x, modes, disturbances) in paths:
         if best is not None and best.value >= claimed - CLOSE * (1 + abs(claimed)):
             break
-        for start in _starts(loop, F, np.asarray(x, float), modes):
+        for start in _starts(loop, F, np.asarray(x, float), modes, disturbances):
             found = exact.replay(inside, v, start(), modes, disturbances, inputs)
             if found is not None and (best is None or found.value > best.value):
                 best = found
@@ -74,10 +75,10 @@ def attained(loop, F, v, paths, inputs=False, end=np.inf):
     return best
 
 
-def _starts(loop, F, x, modes):
+def _starts(loop, F, x, modes, disturbances):
     """Functions that make states near x: x itself, then moved towards centres, then the nearest rational points."""
     yield lambda: rational.binary(x)
-    parts = [_part(loop, F, modes[0]), F] if modes else [F]
+    parts = [_part(loop, F, x, modes, disturbances), F] if modes else [F]
     for part in parts:
         centre = _centre(part)
         if centre is not None:
@@ -87,10 +88,25 @@ def _starts(loop, F, x, modes):
         yield lambda part=part: _nearest(part, x)
 
 
-@lru_cache(maxsize=4 * CACHED)
-def _part(loop, F, mode):
-    """F and what the region of a mode says of x alone."""
-    return loop.system.state_regions()[mode] & F
+def _part(loop, F, x, modes, disturbances):
+    """F and the regions of the modes along a trajectory from x, each state being an affine function E x + e there."""
+    n, rows, limits = loop.system.state_size, [F.H], [F.h]
+    E, e, after = np.eye(n), np.zeros(n), np.asarray(x, float)
+    for j, i in enumerate(modes):
+        mode, (K, g) = loop.system.modes[i], loop.network.affine_piece(after)
+        U, c = K @ E, K @ e + g
+        H, h = mode.region.H, mode.region.h
+        rows.append(H[:, :n] @ E + H[:, n:] @ U)
+        limits.append(h - H[:, :n] @ e - H[:, n:] @ c)
+        if j + 1 < len(modes):
+            d, X = disturbances[j], loop.system.state_set
+            E, e = mode.A @ E + mode.B @ U, mode.A @ e + mode.B @ c + mode.p + d
+            after = E @ x + e
+            rows.append(X.H @ E)
+            limits.append(X.h - X.H @ e)
+    H, h = np.vstack(rows), np.concatenate(limits)
+    known = np.isfinite(H).all(axis=1) & np.isfinite(h) & H.any(axis=1)
+    return Polytope(H[known], h[known])
 
 
 @lru_cache(maxsize=4 * CACHED)

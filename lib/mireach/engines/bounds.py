@@ -50,7 +50,7 @@ def upper_bound(lp, columns, coefficients, constant=0.0, method="lp", error=0.0)
     try:
         bound = _safe(lp.bound(columns, coefficients), constant, error, interval)
         if method == "tight" and lp.binaries and bound > 0:
-            found = lp.maximize_integer(columns, coefficients, nodes=NODES)
+            found = lp.maximize_integer(columns, coefficients, gap=SAFETY, nodes=NODES)
             bound = _safe(found.bound, constant, error, bound)
     except SolverError:  # flat sets can leave a solver undecided; the interval holds in any case
         return interval

@@ -369,7 +369,7 @@ def _bound_layer(layer, boxes, values, doubt):
         high[..., -1] += _rounding(p) * terms
     channels = (w, p, B)
     most = np.where(alive, z.most.reshape(channels), -np.inf).max(axis=1)
-    least = np.where(alive, z.least.reshape(channels), -np.inf).max(axis=1)
+    least = z.least.reshape(channels).max(axis=1)
     return Values.of(boxes, low, high, least, most), LayerBounds(alive, ahead, least, most)
 
 

@@ -496,6 +496,7 @@ def _at_once(ask, formulation, jobs):
     """An _Answer for each direction, from one model of all of F."""
     answers = [_Answer(v) for v in ask.V]
     model = _Shared(partial(build, ask.loop, ask.F, ask.steps, ask.bounds, formulation, end=ask.end))
+    _Simulation(ask, answers).improve()
     root = bound_loop(ask.loop, root_box(ask.loop, ask.F, ask.steps), ask.steps)
     known = np.minimum(ask.known, ask.highest(root)[0])
 
