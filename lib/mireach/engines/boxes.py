@@ -307,7 +307,8 @@ def _highest(boxes, upper, weight, bias, values):
     affine += _rounding(2 * slope.shape[2]) * terms
     up, down, bias = np.maximum(weight, 0), np.minimum(weight, 0), np.asarray(bias)[:, None]
     ranges = up @ values.most + down @ values.least + bias
-    ranges += _rounding(2 * weight.shape[1]) * (np.abs(weight) @ values.largest + np.abs(bias))
+    terms = up @ np.abs(values.most) - down @ np.abs(values.least) + np.abs(bias)
+    ranges += _rounding(2 * weight.shape[1]) * terms
     return np.minimum(affine, ranges)
 
 
