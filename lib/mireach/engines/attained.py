@@ -11,11 +11,13 @@ import numpy as np
 
 from .. import rational
 from ..balls import flint
+from ..lp import LinearProgram
 from ..polytope import Polytope
 from .common import Witness
 
 INWARD = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4)  # shares of the way to a centre by which a state is moved, one after another
 CLOSE = 1e-7  # a value this close to what floats claimed is taken at once (relative to 1 + its size)
+FLAT = 1e-9  # radius of the largest ball in a set below which it is flat (units of x)
 CACHED = 64  # loops and disturbance sets that are kept as rationals
 
 
@@ -79,13 +81,14 @@ def _starts(loop, F, x, modes, disturbances):
     """Functions that make states near x: x itself, then moved towards centres, then the nearest rational points."""
     yield lambda: rational.binary(x)
     parts = [_part(loop, F, x, modes, disturbances), F] if modes else [F]
-    for part in parts:
-        centre = _centre(part)
-        if centre is not None:
-            for share in INWARD:
-                yield lambda centre=centre, share=share: rational.binary(x + share * (centre - x))
-    for part in parts:
-        yield lambda part=part: _nearest(part, x)
+    centres = [centre for centre in map(_centre, parts) if centre is not None]
+    for centre in centres:
+        for share in INWARD:
+            yield lambda centre=centre, share=share: rational.binary(x + share * (centre - x))
+    yield lambda: _nearest(F, x)
+    for centre in centres:
+        for share in INWARD:
+            yield lambda centre=centre, share=share: _nearest(F, x + share * (centre - x))
 
 
 def _part(loop, F, x, modes, disturbances):
@@ -111,13 +114,21 @@ def _part(loop, F, x, modes, disturbances):
 
 @lru_cache(maxsize=4 * CACHED)
 def _centre(P):
-    """The centre of a large ball in P, or None where P is flat or empty."""
+    """The centre of a large ball in P, or where P is flat a point inside of all rows that allow it; None if empty."""
     centre, radius = P.chebyshev()
-    return centre if centre is not None and radius > 0 else None
+    if centre is not None and radius > FLAT:
+        return centre
+    lp, rows = LinearProgram(), len(P.h)
+    x = lp.add_columns(np.full(P.dimension, -np.inf), np.full(P.dimension, np.inf))
+    room = lp.add_columns(np.zeros(rows), np.ones(rows))
+    for a, b, t in zip(P.H, P.h, room):
+        lp.add_row([*x, t], [*a, np.linalg.norm(a)], upper=b)
+    best = lp.maximize(room, np.ones(rows))
+    return None if best.point is None else best.point[: P.dimension]
 
 
 def _nearest(P, x):
-    """The point of P that is nearest to x in the sum of distances, or None if P is empty: a linear program."""
+    """The point of P that is nearest to x in the sum of distances, or None if P is empty: a rational linear program."""
     zero, one, n = flint().fmpq(0), flint().fmpq(1), len(x)
     H, h = _rows(P)
     rows, limits = [(*row, *[zero] * n) for row in H], list(h)

@@ -94,9 +94,23 @@ def proven_box(P):
 
 
 def is_proven_empty(P):
-    """Whether multipliers prove, rounding counted, that a Polytope is empty."""
+    """Whether a Polytope is empty: HiGHS says so, and counted multipliers or rational arithmetic prove it."""
     lp, x = _program(P)
-    return lp.bound(x, np.zeros(P.dimension)) == -np.inf
+    nothing = np.zeros(P.dimension)
+    if lp.maximize(x, nothing).value > -np.inf:
+        return False
+    if lp.bound(x, nothing) == -np.inf:
+        return True
+    return rational.maximize(rational.binary(P.H), rational.binary(P.h), rational.binary(nothing)).point is None
+
+
+def point_of(P, v):
+    """A point (n,) of a nonempty, bounded Polytope that is farthest along v, to within tolerances."""
+    point = P.farthest(v)
+    if point is None:  # nearly empty
+        exact = rational.maximize(rational.binary(P.H), rational.binary(P.h), rational.binary(v)).point
+        point = np.array([rational.nearest(entry) for entry in exact])
+    return point
 
 
 @lru_cache(maxsize=CACHED)
