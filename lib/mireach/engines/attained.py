@@ -36,6 +36,11 @@ class Attained:
         self.value, self.states, self.inputs = rational.below(value), states, inputs
         self.modes, self.disturbances = modes, disturbances
 
+    @property
+    def start(self):
+        """x(0), rounded to floats: (n,)."""
+        return _floats(self.states[:1])[0]
+
     def witness(self):
         """The trajectory, rounded to floats, as a Witness."""
         n, m, steps = len(self.states[0]), len(self.inputs[0]), len(self.modes)
@@ -64,7 +69,7 @@ def attained(loop, F, v, paths, inputs=False, end=np.inf):
         The `perf_counter` after which each path is tried once only.
     """
     exact, best = _exact(loop), None
-    inside, v = _rows(F), rational.binary(v)
+    inside, v = F.exact, rational.binary(v)
     for claimed, (x, modes, disturbances) in paths:
         if best is not None and best.value >= claimed - CLOSE * (1 + abs(claimed)):
             break
@@ -130,7 +135,7 @@ def _centre(P):
 def _nearest(P, x):
     """The point of P that is nearest to x in the sum of distances, or None if P is empty: a rational linear program."""
     zero, one, n = flint().fmpq(0), flint().fmpq(1), len(x)
-    H, h = _rows(P)
+    H, h = P.exact
     rows, limits = [(*row, *[zero] * n) for row in H], list(h)
     for i, entry in enumerate(rational.binary(x)):
         for sign in (one, -one):  # |x_i - entry| <= t_i
@@ -142,19 +147,10 @@ def _nearest(P, x):
     return None if found.point is None else found.point[:n]
 
 
-@lru_cache(maxsize=4 * CACHED)
-def _rows(P):
-    """H and h as rationals."""
-    return rational.binary(P.H), rational.binary(P.h)
-
-
 @lru_cache(maxsize=64 * CACHED)
 def _farthest(D, v):
     """A point of D that attains its support function along the rational vector v, or None if D is empty."""
-    lp, row = D._program, np.array([rational.nearest(entry) for entry in v])
-    point = lp[0].maximize(lp[1], row).point
-    tight = () if point is None else np.argsort(np.abs(D.H @ point - D.h))[: D.dimension].tolist()
-    return rational.maximize(*_rows(D), v, tight).point
+    return D.exact_maximum(v).point
 
 
 @lru_cache(maxsize=CACHED)
@@ -219,7 +215,7 @@ class _ExactLoop:
     @staticmethod
     def _inside(D, d):
         """A disturbance near d that lies in D, or None."""
-        H, h = _rows(D)
+        H, h = D.exact
         centre = _centre(D)
         for share in (0.0, *INWARD) if centre is not None else (0.0,):
             moved = rational.binary(d if centre is None else d + share * (centre - d))

@@ -5,7 +5,6 @@ from time import perf_counter
 
 import numpy as np
 
-from .. import rational
 from ..errors import SolverError
 from ..lp import ROUNDOFF, LinearProgram
 
@@ -75,14 +74,13 @@ def _safe(found, constant, error, known):
 def proven_support(P, V):
     """Numbers (k,) that v x nowhere exceeds on a bounded Polytope, for the rows v of V: weak duality, rounding counted.
 
-    -inf only if it is proven that P is empty. Where the multipliers of HiGHS prove nothing, it is a linear program in
-    rational arithmetic.
+    A few of the last digits above `Polytope.bound`, which takes longer and is asked where multipliers prove nothing.
     """
     lp, x = _program(P)
-    found = np.array([lp.bound(x, v) for v in np.asarray(V, float)])
+    V = np.asarray(V, float)
+    found = np.array([lp.bound(x, v) for v in V])
     for i in np.flatnonzero(found == np.inf):
-        best = rational.maximize(rational.binary(P.H), rational.binary(P.h), rational.binary(V[i]))
-        found[i] = best.value if best.point is None else rational.above(best.value)
+        found[i] = P.bound(V[i : i + 1])[0]
     return found
 
 
@@ -91,26 +89,6 @@ def proven_box(P):
     """A box (lower (n,), upper (n,)) around a bounded Polytope; lower > upper if it is proven to be empty."""
     identity = np.eye(P.dimension)
     return -proven_support(P, -identity), proven_support(P, identity)
-
-
-def is_proven_empty(P):
-    """Whether a Polytope is empty: HiGHS says so, and counted multipliers or rational arithmetic prove it."""
-    lp, x = _program(P)
-    nothing = np.zeros(P.dimension)
-    if lp.maximize(x, nothing).value > -np.inf:
-        return False
-    if lp.bound(x, nothing) == -np.inf:
-        return True
-    return rational.maximize(rational.binary(P.H), rational.binary(P.h), rational.binary(nothing)).point is None
-
-
-def point_of(P, v):
-    """A point (n,) of a nonempty, bounded Polytope that is farthest along v, to within tolerances."""
-    point = P.farthest(v)
-    if point is None:  # nearly empty
-        exact = rational.maximize(rational.binary(P.H), rational.binary(P.h), rational.binary(v)).point
-        point = np.array([rational.nearest(entry) for entry in exact])
-    return point
 
 
 @lru_cache(maxsize=CACHED)

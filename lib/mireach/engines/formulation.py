@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lp import ROUNDOFF, LinearProgram
-from .bounds import METHODS, SAFETY, is_proven_empty, lower_bound, proven_box, upper_bound
+from .bounds import METHODS, SAFETY, lower_bound, proven_box, upper_bound
 from .boxes import Boxes, bound_loop
 
 
@@ -154,7 +154,7 @@ def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None
     Returns
     -------
     Model, or None
-        None if it is proven that no mode can be met, or, without a box, that F & X is empty.
+        None if it is proven that no mode can be met, or, without a box, if F & X is empty.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None
         raise ValueError(f'formulation must be "whole" or "paper" for a single model; got {formulation!r}')
     if box is None:
         start = F & loop.system.state_set
-        if is_proven_empty(start):
+        if start.is_empty:
             return None
         box = root_box(loop, start, steps)
     if formulation == "paper":

@@ -24,12 +24,12 @@ from ..checks import positive_number, real_array, whole_number
 from ..errors import SolverError, SolverStopped
 from ..lp import BRANCHED, GAP, MIP_TOLERANCE
 from .attained import attained
-from .bounds import METHODS, SAFETY, is_proven_empty, point_of, proven_support
+from .bounds import METHODS, SAFETY, proven_support
 from .boxes import Boxes, bound_loop
 from .common import COUNTED, SOLVER, Support, checked_query, empty_support, replay
 from .formulation import Model, build, build_inputs, root_box
 
-__all__ = ["FORMULATIONS", "Model", "build", "check_inputs", "support"]
+__all__ = ["FORMULATIONS", "Model", "build", "support", "violating_state"]
 
 FORMULATIONS = ("split", "whole", "paper")
 MARGIN = 2e-10  # beside MIP_TOLERANCE and the gap, by which a bound may stay above the value (relative to 1 + it)
@@ -87,8 +87,8 @@ def support(
         The answer for a larger set, and the same V and steps, or its bounds alone: they hold here, and where simulation
         attains them, nothing is solved. Of an answer by "split" the boxes and their bounds are taken on as well.
     time_limit : float or None
-        Seconds for the whole call: all directions, all steps, the models and the check of the inputs. It is looked at
-        between linear programs, so that a call may take a little longer.
+        Seconds for the whole call: all directions, all steps and the building of models. It is looked at between
+        linear programs, so that a call may take a little longer.
     gap : float
         Relative gap between bound and value at which the solver may stop. HiGHS's own default of 1e-4
         would be far too loose for sets that are compared with each other.
@@ -110,9 +110,9 @@ def support(
     SolverStopped
         If the time limit came first; its `support` holds what is known, and `bound` is proven.
     SolverError
-        If a bound cannot be right because a trajectory passes it, or if it cannot be shown that Phi stays in U.
+        If a bound cannot be right because a trajectory passes it.
     ValueError
-        If Phi leaves U at some state of F & X (for k > 1, of X), or an argument is not as above.
+        If an argument is not as above.
     """
     V, steps = checked_query(loop, F, V, steps)
     gap = float(real_array(gap, "gap", 0))
@@ -129,16 +129,11 @@ def support(
     jobs = None if jobs is None else whole_number(jobs, "jobs", 1)
     X = loop.system.state_set
     start = F & X
-    if is_proven_empty(start):
+    if start.is_empty:
         return empty_support(len(V))
     if before is not None and before.boxes.lower.shape[1] != V.shape[1] * steps:
         raise ValueError(f"known is an answer for another number of steps than {steps}")
     ask = _Ask(loop, start, V, steps, bounds, gap, end, known)
-    try:
-        check_inputs(loop, start if steps == 1 else X, bounds, end)
-    except SolverStopped as stop:
-        nothing = Support(np.full(len(V), -np.inf), known, (None,) * len(V), rests_on=_rests_on(given, True))
-        raise SolverStopped(_stopped(time_limit), nothing) from stop
     if formulation == "split":
         answers, covering = _split(ask, cutoff, jobs, before)
     else:
@@ -482,9 +477,9 @@ class _Simulation:
 def _extreme_points(P, V):
     """Points of a polytope that are farthest along the rows of V: (e, n).
 
-    An LP's tolerance can lead far beyond the tip of a needle: such points are left out, unless there are no others.
+    Rounding can lead beyond the tip of a needle: such points are left out, unless there are no others.
     """
-    points = np.array([point_of(P, v) for v in V])
+    points = np.array([P.farthest(v) for v in V])
     excess = (points @ P.H.T - P.h).max(axis=1)
     return points[excess <= max(OUTSIDE, excess.min())]
 
@@ -540,36 +535,37 @@ def _share(work, count, jobs, large):
 # -- checks -------------------------------------------------------------------------------------------
 
 
-def check_inputs(loop, start, bounds="lp", end=np.inf):
-    """Raise ValueError if Phi leaves U somewhere in `start`.
+def violating_state(loop, U, bounds="lp", time_limit=None):
+    """A state (n,) of X at which Phi leaves the Polytope U by more than `INPUT_TOLERANCE`, or None.
 
-    SolverError if it can neither be shown that Phi stays in U nor that it leaves; SolverStopped if the `perf_counter`
-    reaches `end` before.
+    Raises
+    ------
+    SolverStopped
+        If the time limit, in seconds, came first.
+    SolverError
+        If it can neither be shown that Phi stays in U nor that it leaves.
     """
-    U, net = loop.system.input_set, loop.network
-    limit = U.h + INPUT_TOLERANCE * (1 + np.abs(U.h))
-    root = bound_loop(loop, root_box(loop, start, 1))
-    open_rows = root.highest_input(U.H)[0] > limit
+    end = np.inf if time_limit is None else perf_counter() + positive_number(time_limit, "time_limit")
+    X, limit = loop.system.state_set, U.h + INPUT_TOLERANCE * (1 + np.abs(U.h))
+    found = bound_loop(loop, root_box(loop, X, 1))
+    open_rows = found.highest_input(U.H)[0] > limit
     if not open_rows.any():
-        return
+        return None
     V, limit = U.H[open_rows], limit[open_rows]
-    ask = _Ask(loop, start, V, 1, bounds, GAP, end, np.full(len(V), np.inf), inputs=True)
+    ask = _Ask(loop, X, V, 1, bounds, GAP, end, np.full(len(V), np.inf), inputs=True)
     for answer, most in zip(_split(ask, limit, 1)[0], limit):
         if answer.bound <= most:
             continue
-        found = attained(loop, start, answer.v, answer.paths, inputs=True, end=end)
-        if found is not None and found.value > most:
-            x = found.witness().states[0]
-            raise ValueError(
-                f"the network leaves the input set by {(U.H @ net(x) - U.h).max():.3g}: at x = {x.tolist()} it gives "
-                f"u = {net(x).tolist()}; use network.saturate(lower, upper)"
-            )
+        reached = attained(loop, X, answer.v, answer.paths, inputs=True, end=end)
+        if reached is not None and reached.value > most:
+            return reached.start
         if not answer.finished:
-            raise SolverStopped("the time ended before it was shown that the network stays in the input set")
+            raise SolverStopped(_stopped(time_limit))
         raise SolverError(
             f"it could not be shown that the network stays in the input set: {answer.v.tolist()} u is at most "
             f"{answer.bound:.9g}, where {most:.9g} is allowed; use network.saturate(lower, upper)"
         )
+    return None
 
 
 def _require_consistent(V, bound, witness):
