@@ -16,6 +16,8 @@ from ..polytope import Polytope
 from .common import Witness
 
 INWARD = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4)  # shares of the way to a centre by which a state is moved, one after another
+CORNERS = 12  # of the set where trajectories start, towards which other pieces are looked for
+BESIDE = 1e-6  # share of the way to a corner at which another piece of the loop is looked for
 CLOSE = 1e-7  # a value this close to what floats claimed is taken at once (relative to 1 + its size)
 FLAT = 1e-9  # radius of the largest ball in a set below which it is flat (units of x)
 CACHED = 64  # loops and disturbance sets that are kept as rationals
@@ -70,10 +72,10 @@ def attained(loop, F, v, paths, inputs=False, end=np.inf):
     """
     exact, best = _exact(loop), None
     inside, v = F.exact, rational.binary(v)
-    for claimed, (x, modes, disturbances) in paths:
+    for k, (claimed, (x, modes, disturbances)) in enumerate(paths):
         if best is not None and best.value >= claimed - CLOSE * (1 + abs(claimed)):
             break
-        for start in _starts(loop, F, np.asarray(x, float), modes, disturbances):
+        for start in _starts(loop, F, v, np.asarray(x, float), modes, disturbances, thorough=k == 0):
             found = exact.replay(inside, v, start(), modes, disturbances, inputs)
             if found is not None and (best is None or found.value > best.value):
                 best = found
@@ -82,8 +84,12 @@ def attained(loop, F, v, paths, inputs=False, end=np.inf):
     return best
 
 
-def _starts(loop, F, x, modes, disturbances):
-    """Functions that make states near x: x itself, then moved towards centres, then the nearest rational points."""
+def _starts(loop, F, v, x, modes, disturbances, thorough):
+    """Functions that make states near x: x itself, then moved towards centres, then the nearest rational points.
+
+    A thorough search ends with the best states of whole pieces of the loop: that of x and, as channels may tie there,
+    those beside it.
+    """
     yield lambda: rational.binary(x)
     parts = [_part(loop, F, x, modes, disturbances), F] if modes else [F]
     centres = [centre for centre in map(_centre, parts) if centre is not None]
@@ -94,22 +100,42 @@ def _starts(loop, F, x, modes, disturbances):
     for centre in centres:
         for share in INWARD:
             yield lambda centre=centre, share=share: _nearest(F, x + share * (centre - x))
+    seen = set()
+    for near in [x, *(x + BESIDE * (corner - x) for corner in _corners(F))] if thorough and modes else ():
+        yield lambda near=near: _exact(loop).best_of_piece(F, v, near, modes, disturbances, seen)
+
+
+@lru_cache(maxsize=4 * CACHED)
+def _corners(P):
+    """Points of P that are farthest along some directions."""
+    across = np.random.default_rng(0).normal(size=(CORNERS, P.dimension))
+    found = [P.farthest(v) for v in across]
+    return [point for point in found if point is not None]
 
 
 def _part(loop, F, x, modes, disturbances):
-    """F and the regions of the modes along a trajectory from x, each state being an affine function E x + e there."""
+    """The part of F on which the channels that win along a trajectory from x keep winning and its modes keep acting.
+
+    All values are affine functions of x(0) there: E x(0) + e.
+    """
     n, rows, limits = loop.system.state_size, [F.H], [F.h]
-    E, e, after = np.eye(n), np.zeros(n), np.asarray(x, float)
+    E, e = np.eye(n), np.zeros(n)
     for j, i in enumerate(modes):
-        mode, (K, g) = loop.system.modes[i], loop.network.affine_piece(after)
-        U, c = K @ E, K @ e + g
+        mode, K, g = loop.system.modes[i], E, e
+        for layer in loop.network.hidden:
+            Z, z = layer.weight @ K, layer.weight @ g + layer.bias
+            first = np.arange(layer.width) * layer.pool
+            winner = first + (Z @ x + z).reshape(layer.width, layer.pool).argmax(axis=1)
+            K, g = Z[winner], z[winner]
+            rows.append(Z - np.repeat(K, layer.pool, axis=0))
+            limits.append(np.repeat(g, layer.pool) - z)
+        U, c = loop.network.weight @ K, loop.network.weight @ g + loop.network.bias
         H, h = mode.region.H, mode.region.h
         rows.append(H[:, :n] @ E + H[:, n:] @ U)
         limits.append(h - H[:, :n] @ e - H[:, n:] @ c)
         if j + 1 < len(modes):
             d, X = disturbances[j], loop.system.state_set
             E, e = mode.A @ E + mode.B @ U, mode.A @ e + mode.B @ c + mode.p + d
-            after = E @ x + e
             rows.append(X.H @ E)
             limits.append(X.h - X.H @ e)
     H, h = np.vstack(rows), np.concatenate(limits)
@@ -212,6 +238,40 @@ class _ExactLoop:
             moved.append(d)
         return Attained(value, states, used, acted, moved)
 
+    def best_of_piece(self, F, v, near, modes, disturbances, seen):
+        """The state of F that is best along v among those at which the channels win that win at `near`: a rational LP.
+
+        `seen` holds the winners that were tried already; for these, and where there is no such state, it is None.
+        """
+        one, zero = flint().fmpq(1), flint().fmpq(0)
+        x, n = rational.binary(near), len(near)
+        E = [(*(one if i == j else zero for j in range(n)), zero) for i in range(n)]  # x(j) = E (x(0), 1)
+        rows, winners = [(*row, -limit) for row, limit in zip(*F.exact)], []
+        for j, i in enumerate(modes):
+            q, (region, image, D) = E, self.modes[i]
+            for channels, pool in self.layers:
+                z = _compose(channels, q)
+                at = [rational.dot(function, (*x, one)) for function in z]
+                first = range(0, len(z), pool)
+                best = [max(range(k, k + pool), key=at.__getitem__) for k in first]
+                rows += [_minus(z[c], z[w]) for k, w in zip(first, best) for c in range(k, k + pool) if c != w]
+                winners += best
+                q = [z[w] for w in best]
+            xu = [*E, *_compose(self.output, q)]
+            rows += _compose(region, xu)
+            E = _compose(image, xu)
+            if j + 1 < len(modes):
+                d = self._inside(D, disturbances[j])
+                if d is None:
+                    return None
+                E = [(*function[:n], function[n] + shift) for function, shift in zip(E, d)]
+                rows += _compose(self.state_set, E)
+        if tuple(winners) in seen:
+            return None
+        seen.add(tuple(winners))
+        goal = [rational.dot(v, column) for column in zip(*E)]
+        return rational.maximize([row[:n] for row in rows], [-row[n] for row in rows], goal[:n]).point
+
     @staticmethod
     def _inside(D, d):
         """A disturbance near d that lies in D, or None."""
@@ -240,6 +300,21 @@ def _values(rows, y):
             total = total + coefficient * y[k]
         found.append(total)
     return found
+
+
+def _compose(rows, functions):
+    """Sparse rows of affine functions, each a tuple of coefficients with the constant last."""
+    zero, found = flint().fmpq(0), []
+    for terms, offset in rows:
+        total = [zero] * (len(functions[0]) - 1) + [offset]
+        for k, coefficient in terms:
+            total = [a + coefficient * b for a, b in zip(total, functions[k])]
+        found.append(tuple(total))
+    return found
+
+
+def _minus(first, second):
+    return tuple(a - b for a, b in zip(first, second))
 
 
 def _floats(vectors):
