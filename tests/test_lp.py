@@ -145,8 +145,10 @@ def test_branching_that_is_stopped_still_bounds(limits):
         lp, x, c, best = random_binaries(seed)
         found = lp.maximize_integer(x, c, **limits)
         assert found.bound >= best - 1e-8
-        assert found.finished or limits["nodes" if "nodes" in limits else "time_limit"] == 0 or (
-            found.bound <= lp.maximize(x, c).value + 1e-8
+        assert (
+            found.finished
+            or limits["nodes" if "nodes" in limits else "time_limit"] == 0
+            or (found.bound <= lp.maximize(x, c).value + 1e-8)
         )
 
 

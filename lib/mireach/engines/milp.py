@@ -367,9 +367,7 @@ class _Leaves:
                 answer.finished, answer.bound = False, max(answer.bound, upper[index])
                 break
             if count == self.many:
-                answer.bound = max(
-                    answer.bound, min(self.solve(None, careful, answer, cutoff), upper[index])
-                )
+                answer.bound = max(answer.bound, min(self.solve(None, careful, answer, cutoff), upper[index]))
                 break
             quick = "interval" if self.simple[index] else careful
             bound = min(self.solve(index, quick, answer, cutoff), upper[index])
