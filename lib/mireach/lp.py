@@ -1,23 +1,36 @@
-"""A linear program that is built row by row and asked for many objectives (HiGHS, warm-started)."""
+"""A linear program that is built row by row and solved for many objectives (HiGHS, warm-started).
 
-from dataclasses import dataclass
+Bounds do not rest on HiGHS. Its multipliers are only a proposal: weak duality turns any multipliers into a bound, with
+the rounding of the computation added (`_Rows.bound`). A program is called empty by `bound` only if a ray proves it.
+`maximize` returns HiGHS's own answer, to within its tolerances.
+"""
+
+import math
+import sys
+from dataclasses import dataclass, replace
 from functools import wraps
 from threading import Lock
 from time import perf_counter
 
 import highspy
 import numpy as np
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csr_array
 
 from .errors import SolverError
 
-MIP_TOLERANCE = 1e-9  # feasibility in a MILP; `engines.bounds.SAFETY` has to stay far above it
-GAP = 1e-10  # between the bound of a MILP and its best point, at which the solver may stop; relative and absolute
-TOLERANCE = 1e-10  # HiGHS keeps constraints and reduced costs to within this, in units of the row
+MIP_TOLERANCE = 1e-9  # feasibility in HiGHS's MILP; a binary this close to 0 or 1 counts as decided
+GAP = 1e-10  # between the bound of a MILP and its best point, at which the search may stop; relative and absolute
+TOLERANCE = 1e-10  # HiGHS keeps constraints and reduced costs to within this, in units of the scaled row
 TINY = 1e-12  # HiGHS leaves out coefficients that are not larger, and cannot be told to keep them
-SMALL = 2.0**-10  # rows whose largest coefficient is below this are scaled up, by a power of two
 LOOSE = 1e-8  # a bound further above what HiGHS attains may be better with other multipliers (relative to 1 + it)
-BRANCHED = 16  # binaries up to which a branch and bound over LPs is faster than a MILP solver, and easier to trust
+BRANCHED = 16  # binaries up to which no incumbent of HiGHS's MILP solver is asked for before branching
+PROOF_NODES = 100_000  # of the search tree over more binaries, after which HiGHS's own bound may be returned
+OPEN = 1e-6  # a relaxed binary that is closer to an integer is branched on only if no other is open
+RELAXED = (1e-9, 1e-7, 1e-5, 1e-3)  # rows are widened by this where HiGHS finds no point and no proof of that
+WELL_SCALED = 2.0**-10  # HiGHS's own bound is not used where a row has coefficients of more different sizes
+DENSE = 100_000  # entries up to which a matrix of rows is kept dense, for speed
+UNDERFLOW = 2.0**-1000  # more than all products lose that are too small for a float
+ROUNDOFF = 2.0**-52  # twice the unit roundoff: a sum of k terms is off by less than k ROUNDOFF times their sizes
 
 DUAL, PRIMAL = 1, 4  # HiGHS's numbers for its simplex methods; the dual one is its default
 CONCLUSIVE = (
@@ -51,16 +64,20 @@ class IntegerOptimum:
     Attributes
     ----------
     bound : float
-        The dual bound: no point exceeds it by more than the solver's tolerances. -inf if there is no point.
+        No point with integer binaries exceeds it. -inf if there is no point.
     point : array (columns,) or None
-        The best that was found, if any is better than what was called enough.
+        The best that was found, if any is better than what was called enough; it satisfies the constraints to within
+        HiGHS's tolerances.
     finished : bool
         False if a limit stopped the search.
+    proven : bool
+        Whether `bound` is proven by weak duality at every node, with rounding counted. If not, it is HiGHS's own.
     """
 
     bound: float
     point: np.ndarray | None
     finished: bool
+    proven: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,24 +86,29 @@ class _Rows:
 
     Attributes
     ----------
-    transposed, size : csr_array (columns, rows)
+    transposed, size : csr_array or array (columns, rows)
         A' and |A|'.
     lower, upper : array (rows,)
     """
 
-    transposed: csr_array
-    size: csr_array
+    transposed: csr_array | np.ndarray
+    size: csr_array | np.ndarray
     lower: np.ndarray
     upper: np.ndarray
 
     @classmethod
-    def of(cls, lp):
-        """The rows of a HighsLp."""
-        matrix, shape = lp.a_matrix_, (lp.num_row_, lp.num_col_)
-        kind = csr_array if matrix.format_ == highspy.MatrixFormat.kRowwise else csc_array
-        A = kind((np.array(matrix.value_), np.array(matrix.index_), np.array(matrix.start_)), shape=shape)
-        transposed = csr_array(A.T)
-        return cls(transposed, abs(transposed), np.array(lp.row_lower_), np.array(lp.row_upper_))
+    def of(cls, rows, columns):
+        """From rows (indices, coefficients, lower, upper) of a matrix with so many columns."""
+        starts = np.cumsum([0, *(len(indices) for indices, *_ in rows)])
+        indices = np.concatenate([np.zeros(0, np.int32), *(row[0] for row in rows)])
+        values = np.concatenate([np.zeros(0), *(row[1] for row in rows)])
+        if len(rows) * columns <= DENSE:
+            transposed = np.zeros((columns, len(rows)))
+            transposed[indices, np.repeat(np.arange(len(rows)), np.diff(starts))] = values
+        else:
+            transposed = csr_array(csr_array((values, indices, starts), shape=(len(rows), columns)).T)
+        lower, upper = (np.array([row[end] for row in rows], float) for end in (2, 3))
+        return cls(transposed, abs(transposed), lower, upper)
 
     def bound(self, c, y, low, high):
         """A number that c x nowhere exceeds on these rows and low <= x <= high, for any multipliers y (rows,).
@@ -94,13 +116,29 @@ class _Rows:
         Weak duality: c x = y A x + (c - A'y) x <= sum max(y lower, y upper) + sum max((c - A'y) low, (c - A'y) high).
         What rounding may do to that is added.
         """
-        y = np.where(((y > 0) & (self.upper == np.inf)) | ((y < 0) & (self.lower == -np.inf)), 0, y)
-        rows = np.where(y > 0, self.upper, np.where(y < 0, self.lower, 0)) * y
-        reduced, terms = c - self.transposed @ y, np.abs(c) + self.size @ np.abs(y)
+        rows, reduced, terms = self._split(c, y)
         columns = np.where(reduced > 0, high, np.where(reduced < 0, low, 0)) * reduced
         extent = np.where(terms > 0, np.maximum(np.abs(low), np.abs(high)), 0)
-        rounding = 2.0**-53 * (len(rows) + len(columns) + 4) * (np.abs(rows).sum() + extent @ terms)
-        return float(rows.sum() + columns.sum() + rounding)
+        size = np.abs(rows).sum() + extent @ terms
+        rounding = self._rounding * size + (UNDERFLOW if 0 < size < 2.0**-900 else 0.0)
+        total = float(rows.sum() + columns.sum() + rounding)
+        return np.inf if np.isnan(total) else total
+
+    def bound_without_limits(self, c, y, low, high, free):
+        """(b, e) with c x <= b + sum of e_j |x_j| over the columns `free`, the others lying in low <= x <= high."""
+        _, reduced, terms = self._split(c, y)
+        inside = self.bound(c, y, np.where(free, 0, low), np.where(free, 0, high))
+        return inside, (np.abs(reduced) + self._rounding * terms)[free]
+
+    @property
+    def _rounding(self):
+        return ROUNDOFF * (sum(self.transposed.shape) + 8)
+
+    def _split(self, c, y):
+        """max(y lower, y upper) of each row, c - A'y of each column, and the sizes of its terms."""
+        y = np.where(((y > 0) & (self.upper == np.inf)) | ((y < 0) & (self.lower == -np.inf)), 0, y)
+        rows = np.where(y > 0, self.upper, np.where(y < 0, self.lower, 0)) * y
+        return rows, c - self.transposed @ y, np.abs(c) + self.size @ np.abs(y)
 
 
 def _alone(method):
@@ -124,6 +162,10 @@ class LinearProgram:
     lower, upper : array (columns,)
     binaries : list of int
         Columns that `maximize_integer` holds to 0 and 1; `maximize` relaxes them.
+    first : list of int
+        Those of them that are branched on before the others.
+    end : float
+        The `perf_counter` at which whoever builds the program wants to be done; see `bounds.upper_bound`.
 
     Examples
     --------
@@ -145,24 +187,25 @@ class LinearProgram:
         }.items():
             self.highs.setOptionValue(name, setting)
         self.highs.changeObjectiveSense(highspy.ObjSense.kMaximize)
-        self.lower, self.upper, self.binaries = np.zeros(0), np.zeros(0), []
-        self._costed, self._costs = np.zeros(0, dtype=np.int32), np.zeros(0)
-        self._declared, self._asked, self._known_rows = 0, Lock(), None
+        self.lower, self.upper, self.binaries, self.first, self.end = np.zeros(0), np.zeros(0), [], [], np.inf
+        self._costed, self._costs, self._factor = np.zeros(0, dtype=np.int32), np.zeros(0), 1.0
+        self._declared, self._asked, self._entries, self._known_rows, self._known_limits = 0, Lock(), [], None, None
 
     @_alone
     def copy(self):
         """A program of its own with the same constraints, binaries and objective."""
         other = LinearProgram()
         other.highs.passModel(self.highs.getLp())
-        other.lower, other.upper, other.binaries = self.lower.copy(), self.upper.copy(), list(self.binaries)
-        other._costed, other._costs, other._declared = self._costed, self._costs, self._declared
-        other._known_rows = self._rows()
+        other.lower, other.upper, other.end = self.lower.copy(), self.upper.copy(), self.end
+        other.binaries, other.first = list(self.binaries), list(self.first)
+        other._costed, other._costs, other._factor = self._costed, self._costs, self._factor
+        other._declared, other._entries, other._known_rows = self._declared, list(self._entries), self._rows()
         return other
 
     def add_columns(self, lower, upper):
         """Add variables with bounds (k,) each; returns their indices (k,)."""
         lower, upper = np.broadcast_arrays(np.asarray(lower, float), np.asarray(upper, float))
-        first, self._known_rows = len(self.lower), None
+        first, self._known_rows, self._known_limits = len(self.lower), None, None
         self.highs.addVars(lower.size, lower.ravel(), upper.ravel())
         self.lower = np.concatenate([self.lower, lower.ravel()])
         self.upper = np.concatenate([self.upper, upper.ravel()])
@@ -174,30 +217,33 @@ class LinearProgram:
         lower, upper = np.broadcast_to(lower, columns.shape), np.broadcast_to(upper, columns.shape)
         for column, low, high in zip(columns, lower, upper):
             self.highs.changeColBounds(int(column), float(low), float(high))
-        self.lower[columns], self.upper[columns] = lower, upper
+        self.lower[columns], self.upper[columns], self._known_limits = lower, upper, None
 
     def add_row(self, columns, coefficients, lower=-np.inf, upper=np.inf):
         """Add lower <= coefficients x[columns] <= upper, for distinct columns.
 
-        Coefficients up to `TINY` are left out; where their variables have limits, the row is widened by what they can
-        contribute, so that no point is lost.
+        The row is multiplied by the power of two that brings its largest coefficient into [1/2, 1), so that its length
+        does not matter. `bound` proves with these coefficients. HiGHS is given the row without those up to `TINY`,
+        widened by what they can contribute where their variables have limits.
         """
         coefficients = np.asarray(coefficients, float)
-        size = np.abs(coefficients)
-        largest = size.max(initial=0)
-        if 0 < largest < SMALL:
-            scale = 2.0 ** min(-np.floor(np.log2(largest)), 1000)  # beyond, it would overflow
-            coefficients, size, lower, upper = coefficients * scale, size * scale, lower * scale, upper * scale
-        tiny = (size <= TINY) & (size > 0)
+        lower, upper = float(lower), float(upper)
+        _, exponent = math.frexp(np.abs(coefficients).max(initial=0))
+        scaled = np.ldexp(coefficients, -exponent)
+        if exponent < 0 or (np.ldexp(scaled, exponent) == coefficients).all():  # else numbers would become too small
+            coefficients = scaled
+            lower, upper = -_scaled_up(-lower, -exponent), _scaled_up(upper, -exponent)
+        used = coefficients != 0
+        indices, coefficients = np.asarray(columns, np.int32)[used], coefficients[used]
+        self._known_rows = None
+        self._entries.append((indices, coefficients, lower, upper))
+        tiny = np.abs(coefficients) <= TINY
         if tiny.any():
-            left_out = np.asarray(columns)[tiny]
-            most = size[tiny] * np.maximum(np.abs(self.lower[left_out]), np.abs(self.upper[left_out]))
+            left_out = indices[tiny]
+            most = np.abs(coefficients[tiny]) * np.maximum(np.abs(self.lower[left_out]), np.abs(self.upper[left_out]))
             slack = most[np.isfinite(most)].sum()
-            coefficients, lower, upper = np.where(tiny, 0, coefficients), lower - slack, upper + slack
-        used, self._known_rows = coefficients != 0, None
-        self.highs.addRow(
-            float(lower), float(upper), int(used.sum()), np.asarray(columns, np.int32)[used], coefficients[used]
-        )
+            indices, coefficients, lower, upper = indices[~tiny], coefficients[~tiny], lower - slack, upper + slack
+        self.highs.addRow(lower, upper, len(indices), indices, coefficients)
 
     def add_rows(self, columns, matrix, lower=-np.inf, upper=np.inf):
         """Add lower <= matrix x[columns] <= upper, row by row; matrix (r, k), limits (r,) or numbers."""
@@ -225,24 +271,26 @@ class LinearProgram:
 
     @_alone
     def bound(self, columns, coefficients):
-        """A number that coefficients x[columns] nowhere exceeds: the value of `maximize`, raised to what is proven.
+        """A number that coefficients x[columns] nowhere exceeds, close to the value of `maximize`.
 
-        The proof is weak duality with HiGHS's multipliers (of a ray, where there is no point), in floating point with
-        its rounding counted. Where they prove nothing, as for variables without limits, it is the larger one of what
-        both simplex methods say.
+        Proven by weak duality with HiGHS's multipliers, in floating point with its rounding counted; -inf only if a ray
+        proves in the same way that there is no point. It is inf where nothing is proven, as for variables that the
+        rows do not bound. Where HiGHS finds no point and no proof of that, the multipliers are those of wider rows.
 
         Returns
         -------
         float
-
-        Raises
-        ------
-        SolverError
-            As `maximize`.
         """
         self._declare_binaries(False)
         self.set_objective(columns, coefficients)
-        return self._proven(self.lower, self.upper).value
+        lower, upper = self._limits()
+        return self._proven(lower, upper).value
+
+    @_alone
+    def limits(self):
+        """Two arrays (columns,) between which every point lies: proven as `bound`, where variables have no limits."""
+        self._declare_binaries(False)
+        return self._limits()
 
     def _relaxation(self):
         """The Optimum of the objective, binaries being relaxed."""
@@ -256,7 +304,7 @@ class LinearProgram:
             status = self.highs.getModelStatus()
         if status == highspy.HighsModelStatus.kOptimal:
             point = np.array(self.highs.getSolution().col_value)
-            return Optimum(float(self.highs.getInfo().objective_function_value), point)
+            return Optimum(float(self.highs.getInfo().objective_function_value) / self._factor, point)
         if status == highspy.HighsModelStatus.kInfeasible:
             return Optimum(-np.inf, None)
         if status == highspy.HighsModelStatus.kUnbounded:
@@ -271,26 +319,23 @@ class LinearProgram:
     ):
         """max coefficients x[columns] over the constraints so far, the `binaries` being 0 or 1.
 
-        Up to `BRANCHED` binaries are branched on here, each node bounded as by `bound`: HiGHS need not be trusted, but
-        where both its simplex methods call a node empty without a ray that proves it.
+        Branch and bound, each node bounded as by `bound`. With more than `BRANCHED` binaries HiGHS's MILP solver is run
+        first, and what it calls the optimum is what the search has to prove.
 
         Parameters
         ----------
         columns, coefficients : array (k,)
         gap : float
-            Between bound and point, relative and absolute, at which the solver may stop.
+            Between bound and point, relative and absolute, at which the search may stop.
         enough : float
-            A bound that need not be lowered further, such as a value that is attained already. With many binaries it is
-            not used.
+            A bound that need not be lowered further, such as a value that is attained already.
         nodes : int or None
-            At most so many nodes of the search tree.
+            At most so many nodes of the search tree. None allows `PROOF_NODES` where HiGHS has an answer of its own;
+            it is returned after that, not proven, if all rows are well scaled, and the bound of the tree if not.
         time_limit : float or None
             Seconds.
         presolve : bool or None
-            None solves MILPs with many binaries twice, with HiGHS's presolve and without, and takes the larger bound:
-            in either way HiGHS 1.15 has called points optimal that were not, without a word (on models of five in
-            10,000 random sets with presolve; on one of a case study without). True or False leaves the search to
-            HiGHS, in one way.
+            True or False returns the answer of HiGHS's MILP solver, with presolve or without, and nothing is proven.
 
         Returns
         -------
@@ -299,65 +344,89 @@ class LinearProgram:
         Raises
         ------
         SolverError
-            If HiGHS ends without an answer.
+            If HiGHS ends without an answer and it alone is asked, or variables without limits leave no bound.
+
+        Notes
+        -----
+        HiGHS 1.15 has called points optimal that were not, without a word (with presolve on models of five in 10,000
+        random sets; without on one of a case study), and feasibility to 1e-9 cuts off points where big-M are large.
         """
         self.set_objective(columns, coefficients)
-        if len(self.binaries) <= (BRANCHED if presolve is None else 0):
+        if presolve is not None:
+            return self._search(bool(presolve), gap, nodes, time_limit)
+        if nodes is not None or len(self.binaries) <= BRANCHED:
             return self._branch(gap, enough, nodes, time_limit)
+        begin = perf_counter()
+        try:
+            claimed = self._search(True, gap, None, None if time_limit is None else time_limit / 2)
+        except SolverError:
+            claimed = IntegerOptimum(np.inf, None, False, False)
+        goal = enough
+        if claimed.finished and claimed.bound > -np.inf:
+            goal = max(enough, claimed.bound + MIP_TOLERANCE * (1 + abs(claimed.bound)))
+        remaining = None if time_limit is None else max(time_limit - (perf_counter() - begin), 0.0)
+        found = self._branch(gap, goal, PROOF_NODES, remaining)
+        if found.point is None and claimed.point is not None:
+            found = replace(found, point=claimed.point)
+        remaining = None if time_limit is None else time_limit - (perf_counter() - begin)
+        if found.finished or (remaining is not None and remaining <= 0):
+            return found
+        try:
+            other = self._search(False, gap, None, remaining)
+        except SolverError:
+            other = claimed
+        said = max(claimed.bound, other.bound)
+        if said < found.bound and claimed.finished and other.finished and self._is_well_scaled():
+            return IntegerOptimum(said, found.point, True, False)
+        return replace(found, finished=True)
+
+    def _is_well_scaled(self):
+        """Whether no row has coefficients of very different sizes, so that HiGHS's tolerances mean what they say."""
+        return all(np.abs(entry[1]).min(initial=1) >= WELL_SCALED for entry in self._entries)
+
+    def _search(self, presolve, gap, nodes, time_limit):
+        """The IntegerOptimum of HiGHS's MILP solver, in one of its ways; SolverError if it ends without an answer."""
         self._declare_binaries(True)
+        self.highs.clearSolver()  # the answer does not depend on what was asked before
         for name, setting in {
             "mip_rel_gap": float(gap),
             "mip_abs_gap": float(gap),
             "mip_feasibility_tolerance": MIP_TOLERANCE,
             "mip_heuristic_run_feasibility_jump": False,  # two thirds of the time on a model with few binaries
             "mip_max_nodes": highspy.kHighsIInf if nodes is None else nodes,
+            "time_limit": np.inf if time_limit is None else self.highs.getRunTime() + time_limit,  # of all its runs
+            "presolve": "choose" if presolve else "off",
         }.items():
             self.highs.setOptionValue(name, setting)
-        ways = (True, False) if presolve is None else (bool(presolve),)
-        found = [self._search(way, None if time_limit is None else time_limit / len(ways)) for way in ways]
+        self.highs.run()
         self.highs.setOptionValue("presolve", "off")
         self.highs.setOptionValue("time_limit", np.inf)
-        answers = [optimum for optimum, _ in found if optimum is not None]
-        bound = max((one.bound for one in answers), default=-np.inf)
-        unclear = [status for optimum, status in found if optimum is None]
-        if unclear and bound == -np.inf:  # that there is no point has to hold in both ways
-            raise SolverError(f"HiGHS ended the MILP with {self.highs.modelStatusToString(unclear[0])}")
-        objective = np.zeros(len(self.lower))
-        objective[columns] = coefficients
-        points = [optimum.point for optimum in answers if optimum.point is not None]
-        best = max(points, key=lambda point: objective @ point, default=None)
-        return IntegerOptimum(bound, best, all(one.finished for one in answers))
-
-    def _search(self, presolve, time_limit):
-        """Let HiGHS solve the MILP in one of its ways: IntegerOptimum, None if it ends without one; and its status."""
-        self.highs.clearSolver()  # the answer does not depend on what was asked before
-        end = np.inf if time_limit is None else self.highs.getRunTime() + time_limit  # HiGHS counts all its runs
-        self.highs.setOptionValue("time_limit", end)
-        self.highs.setOptionValue("presolve", "choose" if presolve else "off")
-        self.highs.run()
-        status, info = self.highs.getModelStatus(), self.highs.getInfo()
+        status, info, solution = self.highs.getModelStatus(), self.highs.getInfo(), self.highs.getSolution()
         if status == highspy.HighsModelStatus.kInfeasible:
-            return IntegerOptimum(-np.inf, None, True), status
+            return IntegerOptimum(-np.inf, None, True, False)
         if status not in (highspy.HighsModelStatus.kOptimal, *STOPPED):
-            return None, status
-        finished, solution = status == highspy.HighsModelStatus.kOptimal, self.highs.getSolution()
+            raise SolverError(f"HiGHS ended the MILP with {self.highs.modelStatusToString(status)}")
         attained = solution.value_valid and np.isfinite(info.objective_function_value)
         point = np.array(solution.col_value) if attained else None
-        return IntegerOptimum(float(info.mip_dual_bound), point, finished), status
+        finished = status == highspy.HighsModelStatus.kOptimal
+        return IntegerOptimum(float(info.mip_dual_bound) / self._factor, point, finished, False)
 
     def _branch(self, gap, enough, nodes, time_limit):
         """Branch and bound, depth first, each node a linear program: IntegerOptimum.
 
-        Each of them begins anew: from the basis of the node before, HiGHS 1.15 can go round for ever.
+        A node is left out only if its proven bound is not above `enough` or the best point. Where HiGHS has neither a
+        point nor a proof that there is none, the node keeps the bound of its parent and is branched further.
         """
         self._declare_binaries(False)
         self.highs.passModel(self.highs.getLp())  # last digits do not depend on how it was scaled for other questions
-        columns = np.array(self.binaries, np.int32)
-        lower, upper = self.lower.copy(), self.upper.copy()
+        self.highs.setOptionValue("simplex_iteration_limit", 1000 + 20 * (len(self._entries) + len(self.lower)))
+        columns, first = np.array(self.binaries, np.int32), set(self.first)
+        turn = np.array([k if column in first else k + len(columns) for k, column in enumerate(columns)])
+        lower, upper = (ends.copy() for ends in self._limits())
         limits = lower[columns], upper[columns]
         best, bound, point, looked = enough, -np.inf, None, 0
         end = np.inf if time_limit is None else perf_counter() + time_limit
-        waiting = [(np.inf, *limits)]  # what bounds a node from above, and the limits of its binaries
+        waiting = [(self._rows().bound(self._objective(), np.zeros(len(self._entries)), lower, upper), *limits)]
         try:
             while waiting and (nodes is None or looked < nodes) and perf_counter() < end:
                 above, low, high = waiting.pop()
@@ -365,19 +434,22 @@ class LinearProgram:
                 if above > settled:
                     self.highs.changeColsBounds(len(columns), columns, low, high)
                     lower[columns], upper[columns] = low, high
-                    relaxed, looked = self._proven(lower, upper, afresh=True), looked + 1
+                    relaxed, looked = self._proven(lower, upper), looked + 1
                     above = min(above, relaxed.value)
                 if above <= settled:
                     bound = max(bound, above)
                     continue
-                if relaxed.point is None:
+                if above == np.inf:
                     raise SolverError("HiGHS found no bound of a MILP: its relaxation is unbounded")
-                share = relaxed.point[columns]
+                share = relaxed.point[columns] if relaxed.point is not None else (low + high) / 2
                 apart = np.minimum(share - low, high - share)
                 if apart.max(initial=0) <= MIP_TOLERANCE:
-                    best, bound, point = above, max(bound, above), relaxed.point
+                    bound = max(bound, above)
+                    if relaxed.point is not None:
+                        best, point = above, relaxed.point
                     continue
-                branch = int(np.argmax(apart))
+                open_ = np.flatnonzero(apart > min(OPEN, apart.max() / 2))
+                branch = open_[np.argmin(turn[open_])]
                 for value in (0.0, 1.0) if share[branch] > 0.5 else (1.0, 0.0):  # the last one is looked at first
                     low, high = low.copy(), high.copy()
                     low[branch] = high[branch] = value
@@ -385,40 +457,113 @@ class LinearProgram:
         finally:
             self.highs.changeColsBounds(len(columns), columns, *limits)
             self.highs.clearSolver()
+            self.highs.setOptionValue("simplex_iteration_limit", highspy.kHighsIInf)
         return IntegerOptimum(max([bound, *(above for above, _, _ in waiting)]), point, not waiting)
 
-    def _proven(self, lower, upper, afresh=False):
-        """The Optimum of the relaxation between limits of x, its value being raised to a bound by weak duality.
+    def _proven(self, lower, upper):
+        """The Optimum of the relaxation between limits of x, its value being a bound that weak duality proves.
 
-        Without multipliers that give a bound it is the larger one of what both simplex methods say.
+        HiGHS solves with the limits that it has; `lower` and `upper` may be tighter where they hold for another reason.
+        The point is None if HiGHS found none.
         """
-        c, rows, said, proven = np.zeros(len(lower)), self._rows(), [], []
-        c[self._costed] = self._costs
+        c, rows, best, point = self._objective(), self._rows(), np.inf, None
         try:
             for method in (DUAL, PRIMAL):
-                if afresh or method == PRIMAL:
+                if method == PRIMAL:
                     self.highs.clearSolver()
                 self.highs.setOptionValue("simplex_strategy", method)
-                relaxed = self._relaxation()
-                said.append(relaxed)
+                try:
+                    relaxed = self._relaxation()
+                except SolverError:
+                    continue
                 if relaxed.value == -np.inf:
                     _, known, ray = self.highs.getDualRay()
                     if known and rows.bound(np.zeros(len(c)), -np.array(ray), lower, upper) < 0:
-                        return relaxed
+                        return Optimum(-np.inf, None)
                 elif relaxed.value < np.inf:
-                    bound = rows.bound(c, np.array(self.highs.getSolution().row_dual), lower, upper)
-                    proven.append(Optimum(bound, relaxed.point))
+                    bound = rows.bound(c, self._multipliers(), lower, upper)
+                    if bound <= best:
+                        best, point = bound, relaxed.point
                     if bound <= relaxed.value + LOOSE * (1 + abs(relaxed.value)):
                         break
+            if point is None:
+                best, point = self._proven_by_wider_rows(c, lower, upper)
         finally:
             self.highs.setOptionValue("simplex_strategy", DUAL)
-        best = min(proven, key=lambda optimum: optimum.value, default=None)
-        return best if best is not None and best.value < np.inf else max(said, key=lambda optimum: optimum.value)
+        return Optimum(best if best < np.inf else rows.bound(c, np.zeros(len(rows.lower)), lower, upper), point)
+
+    def _proven_by_wider_rows(self, c, lower, upper):
+        """(bound, point): the multipliers are those of rows that are moved outward until HiGHS finds a point."""
+        rows, count = self._rows(), len(self._entries)
+        model = self.highs.getLp()
+        low, high = np.array(model.row_lower_), np.array(model.row_upper_)
+        every = np.arange(count, dtype=np.int32)
+        try:
+            for width in RELAXED:
+                room = width * (1 + np.minimum(np.abs(low), np.abs(high)))
+                self.highs.changeRowsBounds(count, every, low - room, high + room)
+                try:
+                    relaxed = self._relaxation()
+                except SolverError:
+                    continue
+                if relaxed.point is not None:
+                    return rows.bound(c, self._multipliers(), lower, upper), relaxed.point
+                _, known, ray = self.highs.getDualRay()
+                if known and rows.bound(np.zeros(len(c)), -np.array(ray), lower, upper) < 0:
+                    return -np.inf, None
+        finally:
+            self.highs.changeRowsBounds(count, every, low, high)
+        return np.inf, None
+
+    def _limits(self):
+        """Limits of all columns: their own, and where there are none, what the rows prove.
+
+        With |x_j| <= b_j + sum over k of e_jk |x_k| for all columns without limits, as weak duality gives it, no |x_k|
+        exceeds s = max b / (1 - max sum_k e_jk), and so |x_j| <= b_j + s sum_k e_jk.
+        """
+        free = ~(np.isfinite(self.lower) & np.isfinite(self.upper))
+        if not free.any():
+            return self.lower, self.upper
+        if self._known_limits is None:
+            self._known_limits = self.lower.copy(), self.upper.copy()
+            chosen = np.flatnonzero(free).astype(np.int32)
+            costed, costs = self._costed, self._costs
+            b, e = np.full((2, len(chosen)), np.inf), np.zeros((2, len(chosen), len(chosen)))
+            for i, sign in enumerate((-1.0, 1.0)):
+                for k, column in enumerate(chosen):
+                    self.set_objective([column], [sign])
+                    try:
+                        found = self._relaxation()
+                    except SolverError:
+                        continue
+                    if found.point is not None:
+                        c = self._objective()
+                        b[i, k], e[i, k] = self._rows().bound_without_limits(
+                            c, self._multipliers(), self.lower, self.upper, free
+                        )
+            self.set_objective(costed, costs)
+            share = e.sum(axis=2).max() * (1 + ROUNDOFF * (len(chosen) + 1))
+            if np.isfinite(b).all() and share < 0.5:
+                most = max(b.max(), 0) / (1 - share) * (1 + 8 * ROUNDOFF)
+                ends = (b + e.sum(axis=2) * most) + ROUNDOFF * (len(chosen) + 8) * (np.abs(b) + e.sum(axis=2) * most)
+                self._known_limits[0][chosen] = np.maximum(self.lower[chosen], -ends[0])
+                self._known_limits[1][chosen] = np.minimum(self.upper[chosen], ends[1])
+        return self._known_limits
+
+    def _objective(self):
+        """The coefficients of the objective, one a column."""
+        c = np.zeros(len(self.lower))
+        c[self._costed] = self._costs
+        return c
+
+    def _multipliers(self):
+        """What HiGHS offers as multipliers of the rows for the objective."""
+        return np.array(self.highs.getSolution().row_dual) / self._factor
 
     def _rows(self):
         """The constraints so far."""
         if self._known_rows is None:
-            self._known_rows = _Rows.of(self.highs.getLp())
+            self._known_rows = _Rows.of(self._entries, len(self.lower))
         return self._known_rows
 
     def _declare_binaries(self, integer):
@@ -431,7 +576,18 @@ class LinearProgram:
             self._declared = declared
 
     def set_objective(self, columns, coefficients):
-        """Replace the objective; the constraints and the basis stay."""
+        """Replace the objective; the constraints and the basis stay. HiGHS sees it multiplied by a power of two."""
         self.highs.changeColsCost(len(self._costed), self._costed, np.zeros(len(self._costed)))
         self._costed, self._costs = np.array(columns, np.int32), np.array(coefficients, float)
-        self.highs.changeColsCost(len(self._costed), self._costed, self._costs)
+        _, exponent = math.frexp(np.abs(self._costs).max(initial=0))
+        self._factor = 2.0 ** -max(-1000, min(exponent, 1000))
+        self.highs.changeColsCost(len(self._costed), self._costed, self._costs * self._factor)
+
+
+def _scaled_up(limit, exponent):
+    """limit 2^exponent, rounded upward where it is too small or too large for a float."""
+    try:
+        scaled = math.ldexp(limit, exponent)
+    except OverflowError:
+        scaled = math.inf if limit > 0 else -sys.float_info.max
+    return scaled if scaled == math.inf or math.ldexp(scaled, -exponent) >= limit else math.nextafter(scaled, math.inf)

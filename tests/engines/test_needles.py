@@ -8,7 +8,7 @@ from fuzz import CLOSE, some_loop
 from loops import jump_loop, random_loop
 
 from mireach import Polytope, directions
-from mireach.engines import cells, exact
+from mireach.engines import cells, exact, milp
 
 
 def needle(rng, tip, w):
@@ -77,3 +77,14 @@ def test_needles_end_where_they_meet_the_line_at_which_the_map_jumps(w):
     loop = replace(loop, system=replace(loop.system, modes=modes))
     found = cells.support(loop, Polytope([[-1.0, w]], [-1.0 + end * w]), [[0, 1.0], [1.0, 1.0]])
     assert (found.bound >= [end, 1 + end]).all() and (found.bound <= np.array([end, 1 + end]) + CLOSE).all()
+
+
+@pytest.mark.parametrize("seed", range(2000, 2008))
+def test_milp_attains_its_values_in_needles(seed):
+    rng, loop = some_loop(seed)
+    X, V = loop.system.state_set, directions(4)
+    x, widths = X.sample(rng, 2), 10 ** rng.uniform(-9, -2, 2)
+    for F in (needle(rng, x[0], widths[0]), sliver(rng, np.vstack([x, x]), widths[1] / 100)):
+        found, truth = milp.support(loop, F, V), exact.support(loop, F, V)
+        assert (found.bound >= truth.value).all() and (found.value <= truth.bound).all()
+        assert (found.value >= truth.value - 1e-6 * (1 + np.abs(truth.value))).all()

@@ -3,14 +3,19 @@
 Trajectories are functions of w = (x(0), d(0), ..., d(k - 2)); the last disturbance only adds its support function.
 On a box of w every quantity lies between two affine functions of w, carried from layer to layer by sign. Where one
 channel wins on the whole box, both follow it, so that the bounds become exact as boxes shrink.
+
+All bounds hold for the loop in real arithmetic, whatever the sizes of the weights: the rounding errors of each function
+are bounded by the sizes of the terms that were summed up, before they cancel, and move its constant outward.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-ROUNDING = 1e-12  # added to every bound, relative to the terms that were summed up
-ON_BOUNDARY = 1e-8  # a mode whose rows are violated by less counts as met (units of h)
+from ..lp import ROUNDOFF
+from .bounds import proven_box
+
+ON_BOUNDARY = 1e-8  # a mode whose rows are violated by less than this and rounding counts as met (units of h)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +61,7 @@ class Boxes:
         """Whether no single row of the Polytope P separates it from the box, by the first n coordinates: (B,)."""
         n = P.dimension
         nearest = self.middle[:, :n] @ P.H.T - self.reach[:, :n] @ np.abs(P.H).T
+        nearest -= 2 * _rounding(n) * (self.size[:, :n] @ np.abs(P.H).T)
         return (nearest <= P.h + ON_BOUNDARY * (1 + np.abs(P.h))).all(axis=1)
 
 
@@ -68,12 +74,26 @@ class Values:
     low, high : array (r, B, D + 1)
         Coefficients of w, then the constant.
     least, most : array (r, B)
+    size : array (r, B)
+        The sum of sizes of the terms of `low` and of `high`, wherever w is in the box.
     """
 
     low: np.ndarray
     high: np.ndarray
     least: np.ndarray
     most: np.ndarray
+    size: np.ndarray
+
+    @staticmethod
+    def of(boxes, low, high, least, most):
+        """With `size` found out."""
+        size = _terms(boxes, high)
+        return Values(low, high, least, most, size if low is high else np.maximum(size, _terms(boxes, low)))
+
+    @property
+    def largest(self):
+        """Largest size of each value: (r, B)."""
+        return np.maximum(np.abs(self.least), np.abs(self.most))
 
     def join(self, other):
         """The quantities of both."""
@@ -81,11 +101,11 @@ class Values:
 
     def at(self, box):
         """The quantities on one box."""
-        return Values(self.low[:, box], self.high[:, box], self.least[:, box], self.most[:, box])
+        return Values(*(part[:, box] for part in self._parts))
 
     @property
     def _parts(self):
-        return self.low, self.high, self.least, self.most
+        return self.low, self.high, self.least, self.most, self.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +204,12 @@ class LoopBounds:
         for mode, met, most in zip(loop.system.modes, last.met, spread):
             if not met.any():
                 continue
-            weight = V @ np.hstack([mode.A, mode.B])
-            reach = highest(self.boxes, weight, V @ mode.p + most, xu)
+            AB, count = np.hstack([mode.A, mode.B]), V.shape[1] + 2
+            weight_error = _rounding(count) * (np.abs(V) @ np.abs(AB))
+            bias_error = _rounding(count) * (np.abs(V) @ np.abs(mode.p) + np.abs(most))
+            error = weight_error @ xu.largest + bias_error[:, None]
+            reach = highest(self.boxes, V @ AB, V @ mode.p + most, xu)
+            reach = reach + (error + ROUNDOFF * (np.abs(reach) + error))
             best = np.where(met, np.maximum(best, reach), best)
         return np.where(self.possible, best, -np.inf).T
 
@@ -216,10 +240,9 @@ def bound_loop(loop, boxes, steps=1):
         if j:
             X = system.state_set
             possible &= (-highest(boxes, -X.H, X.h, state) <= ON_BOUNDARY * (1 + np.abs(X.h[:, None]))).all(axis=0)
-            low, high = X.bounding_box()
-            state = Values(
-                state.low, state.high, np.maximum(state.least, low[:, None]), np.minimum(state.most, high[:, None])
-            )
+            low, high = proven_box(X)
+            least, most = np.maximum(state.least, low[:, None]), np.minimum(state.most, high[:, None])
+            state = Values(state.low, state.high, least, most, state.size)
         values, layers = state, []
         for layer in loop.network.hidden:
             values, bounds = _bound_layer(layer, boxes, values, doubt)
@@ -242,20 +265,37 @@ def highest(boxes, weight, bias, values):
 # -- parts --------------------------------------------------------------------------------------------
 
 
+def _rounding(terms):
+    """The rounding error of a sum of so many products, relative to the sum of their sizes."""
+    return ROUNDOFF * (terms + 8)
+
+
+def _terms(boxes, functions):
+    """The sum of sizes of the terms of affine functions (r, B, D + 1) on the boxes: (r, B)."""
+    size = np.abs(functions)
+    return np.einsum("rbd,bd->rb", size[..., :-1], boxes.size) + size[..., -1]
+
+
 def _coordinates(boxes, columns):
     """Coordinates of w as values of themselves."""
     B, D = boxes.lower.shape
-    identity = np.zeros((len(columns), B, D + 1))
-    identity[np.arange(len(columns)), :, list(columns)] = 1
-    return Values(identity, identity, boxes.lower.T[list(columns)], boxes.upper.T[list(columns)])
+    identity, columns = np.zeros((len(columns), B, D + 1)), list(columns)
+    identity[np.arange(len(columns)), :, columns] = 1
+    return Values(identity, identity, boxes.lower.T[columns], boxes.upper.T[columns], boxes.size.T[columns])
 
 
 def _upper(weight, bias, values):
     """Affine functions (r, B, D + 1) above weight values + bias."""
     up, down = np.maximum(weight, 0), np.minimum(weight, 0)
     found = np.tensordot(up, values.high, 1) + np.tensordot(down, values.low, 1)
-    found[:, :, -1] += np.asarray(bias)[:, None]
+    bias, terms = np.asarray(bias)[:, None], _upper_terms(weight, bias, values)
+    found[:, :, -1] += bias + _rounding(2 * weight.shape[1]) * terms
     return found
+
+
+def _upper_terms(weight, bias, values):
+    """The sizes (r, B) that the rounding errors of `_upper` are relative to; they bound those of its terms."""
+    return np.abs(weight) @ values.size + np.abs(bias)[:, None]
 
 
 def _highest(boxes, upper, weight, bias, values):
@@ -263,10 +303,12 @@ def _highest(boxes, upper, weight, bias, values):
     slope, constant = upper[:, :, :-1], upper[:, :, -1]
     steep = np.abs(slope)
     affine = np.einsum("rbd,bd->rb", slope, boxes.middle) + np.einsum("rbd,bd->rb", steep, boxes.reach) + constant
-    affine += ROUNDING * (np.einsum("rbd,bd->rb", steep, boxes.size) + np.abs(constant))
+    terms = 2 * np.einsum("rbd,bd->rb", steep, boxes.size) + np.abs(constant)
+    affine += _rounding(2 * slope.shape[2]) * terms
     up, down, bias = np.maximum(weight, 0), np.minimum(weight, 0), np.asarray(bias)[:, None]
     ranges = up @ values.most + down @ values.least + bias
-    ranges += ROUNDING * (np.abs(weight) @ np.maximum(np.abs(values.least), np.abs(values.most)) + np.abs(bias))
+    terms = up @ np.abs(values.most) - down @ np.abs(values.least) + np.abs(bias)
+    ranges += _rounding(2 * weight.shape[1]) * terms
     return np.minimum(affine, ranges)
 
 
@@ -275,7 +317,7 @@ def _affine(boxes, weight, bias, values):
     high, low = _upper(weight, bias, values), -_upper(-weight, -bias, values)
     most = _highest(boxes, high, weight, bias, values)
     least = -_highest(boxes, -low, -weight, -bias, values)
-    return Values(low, high, least, most)
+    return Values.of(boxes, low, high, least, most)
 
 
 def _at_middle(boxes, functions):
@@ -317,15 +359,19 @@ def _bound_layer(layer, boxes, values, doubt):
         doubt += np.einsum("wpbd->bd", np.abs(rise[..., :-1]) * (u > 0)[..., None]) * boxes.reach
         chord = slope[..., None] * rise
         chord[..., -1] -= slope * l
+        terms = _upper_terms(apart, apart_bias, values).reshape(w, p, p, B)
+        terms = terms[neuron[:, None], rows, guess[:, None], box[None]]
+        terms = (slope * (terms + np.abs(l)) + u).sum(axis=1) + z.size.reshape(w, p, B)[neuron, guess, box]
         chord, highest_u = chord.sum(axis=1), u.max(axis=1)
         better = _at_middle(boxes, chord) < highest_u
         flat = np.zeros_like(chord)
         flat[..., -1] = highest_u
         high = high + np.where(better[..., None], chord, flat)
+        high[..., -1] += _rounding(p) * terms
     channels = (w, p, B)
     most = np.where(alive, z.most.reshape(channels), -np.inf).max(axis=1)
-    least = np.where(alive, z.least.reshape(channels), -np.inf).max(axis=1)
-    return Values(low, high, least, most), LayerBounds(alive, ahead, least, most)
+    least = z.least.reshape(channels).max(axis=1)
+    return Values.of(boxes, low, high, least, most), LayerBounds(alive, ahead, least, most)
 
 
 def _met(system, boxes, xu, doubt):
@@ -358,4 +404,6 @@ def _next_state(system, boxes, xu, met, columns):
         flat[..., -1] = bound
         ends[:, several] = flat[:, several]
     d = _coordinates(boxes, columns)
-    return Values(low + d.low, high + d.high, least + d.least, most + d.most)
+    least, most = least + d.least, most + d.most
+    least, most = least - ROUNDOFF * np.abs(least), most + ROUNDOFF * np.abs(most)
+    return Values.of(boxes, low + d.low, high + d.high, least, most)

@@ -4,14 +4,17 @@ The model grows from the state to the output of each layer, to the modes, to the
 far is a program that bounds what comes next: hence a big-M for every single row, no variable for a neuron of which
 one channel always wins, no binary for a channel that never wins, and none for a mode that is never met. The paper's
 own formulation, with all binaries and one big-M, is here as well.
+
+Every trajectory of the loop in real arithmetic satisfies the rows: what rounding may do to coefficients that are
+composed of several layers is bounded and moves the limits of the rows outward.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..lp import MIP_TOLERANCE, TOLERANCE, LinearProgram
-from .bounds import METHODS, SAFETY, lower_bound, upper_bound
+from ..lp import ROUNDOFF, LinearProgram
+from .bounds import METHODS, SAFETY, lower_bound, proven_box, upper_bound
 from .boxes import Boxes, bound_loop
 
 
@@ -47,37 +50,54 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """r affine functions of the columns of a linear program: matrix c[:N] + constant, N up to the number of columns.
+    """r functions of the columns of a linear program, within `error` of matrix c[:N] + constant.
 
     Attributes
     ----------
     matrix : array (r, N)
+        N is at most the number of columns.
     constant : array (r,)
+    error : array (r,)
+        What rounding may have done to both, on all points between the limits of the columns.
     """
 
     matrix: np.ndarray
     constant: np.ndarray
+    error: np.ndarray
 
     @staticmethod
     def columns(chosen):
         """The values of the given columns."""
         chosen = np.asarray(chosen)
-        return Affine(np.eye(chosen.max(initial=-1) + 1)[chosen], np.zeros(len(chosen)))
+        return Affine(np.eye(chosen.max(initial=-1) + 1)[chosen], np.zeros(len(chosen)), np.zeros(len(chosen)))
 
     @staticmethod
     def join(parts):
         """All functions of all parts."""
-        constant, row = np.concatenate([part.constant for part in parts]), 0
+        constant, error = (np.concatenate([getattr(part, name) for part in parts]) for name in ("constant", "error"))
+        row = 0
         matrix = np.zeros((len(constant), max(part.matrix.shape[1] for part in parts)))
         for part in parts:
             rows, columns = part.matrix.shape
             matrix[row : row + rows, :columns] = part.matrix
             row += rows
-        return Affine(matrix, constant)
+        return Affine(matrix, constant, error)
 
-    def map(self, weight, bias):
-        """weight (...) + bias."""
-        return Affine(weight @ self.matrix, weight @ self.constant + bias)
+    def map(self, lp, weight, bias):
+        """weight (...) + bias: the error grows by |weight| error and by the rounding of the products and sums."""
+        limit = np.maximum(np.abs(lp.lower), np.abs(lp.upper))[: self.matrix.shape[1]]
+        terms = np.abs(weight) @ (np.abs(self.matrix) @ limit + np.abs(self.constant) + self.error) + np.abs(bias)
+        count = sum(self.matrix.shape) + 8
+        error = (np.abs(weight) @ self.error) * (1 + ROUNDOFF * count)
+        if not _copies(self.matrix) or self.constant.any():
+            error = error + ROUNDOFF * count * terms
+        return Affine(weight @ self.matrix, weight @ self.constant + bias, error)
+
+    def minus(self, lp, i, j):
+        """Function i minus function j, as an Affine of one row."""
+        weight = np.zeros((1, len(self.constant)))
+        weight[0, i], weight[0, j] = 1, -1
+        return self.map(lp, weight, np.zeros(1))
 
     @property
     def support(self):
@@ -85,20 +105,35 @@ class Affine:
         return np.arange(self.matrix.shape[1])
 
     @property
-    def parts(self):
-        """The matrix and the constant."""
-        return self.matrix, self.constant
+    def rows(self):
+        """Coefficients, constant and error of one function after another."""
+        return zip(self.matrix, self.constant, self.error)
 
     def most(self, lp, method):
         """Upper bounds (r,), as `upper_bound`."""
-        return np.array([upper_bound(lp, self.support, a, b, method) for a, b in zip(self.matrix, self.constant)])
+        return np.array([upper_bound(lp, self.support, *row, method, error) for *row, error in self.rows])
 
     def least(self, lp, method):
         """Lower bounds (r,)."""
-        return np.array([lower_bound(lp, self.support, a, b, method) for a, b in zip(self.matrix, self.constant)])
+        return np.array([lower_bound(lp, self.support, *row, method, error) for *row, error in self.rows])
 
 
-def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None):
+def _copies(matrix):
+    """Whether each row holds a single 1, so that nothing is rounded where it is multiplied."""
+    return ((matrix == 0) | (matrix == 1)).all() and (matrix.sum(axis=1) == 1).all() and (matrix.sum(axis=0) <= 1).all()
+
+
+def above(*terms):
+    """The sum of a few numbers, rounded upward."""
+    return sum(terms) + ROUNDOFF * (len(terms) + 1) * sum(map(abs, terms))
+
+
+def below(*terms):
+    """The sum of a few numbers, rounded downward."""
+    return sum(terms) - ROUNDOFF * (len(terms) + 1) * sum(map(abs, terms))
+
+
+def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None, end=np.inf):
     """The model of eq. MIClosedLoop over x(0) in F & X for K = `steps`.
 
     Parameters
@@ -113,11 +148,13 @@ def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None
         One box of (x(0), d(0), ..., d(k - 2)) to which the model is restricted; None is all of F & X and D.
     known : list of StepBounds or None
         What is known of the steps on that box; None finds it out, except for "interval".
+    end : float
+        The `perf_counter` after which bounds are taken from intervals.
 
     Returns
     -------
     Model, or None
-        None if F & X is empty or no mode can be met.
+        None if it is proven that no mode can be met, or, without a box, if F & X is empty.
 
     Raises
     ------
@@ -128,21 +165,22 @@ def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None
         raise ValueError(f"bounds must be one of {METHODS}; got {bounds!r}")
     if formulation not in ("whole", "paper"):
         raise ValueError(f'formulation must be "whole" or "paper" for a single model; got {formulation!r}')
-    start = F & loop.system.state_set
-    if start.is_empty:
-        return None
     if box is None:
+        start = F & loop.system.state_set
+        if start.is_empty:
+            return None
         box = root_box(loop, start, steps)
     if formulation == "paper":
-        return _paper(loop, start, box, steps)
+        return _paper(loop, F, box, steps)
     if known is None and bounds != "interval":
         known = bound_loop(loop, box, steps).at(0)
     n, X, lp = loop.system.state_size, loop.system.state_set, LinearProgram()
+    lp.end = end
     x = lp.add_columns(box.lower[0, :n], box.upper[0, :n])
-    _stay_in(lp, x, F)
+    lp.add_rows(x, F.H, upper=F.h)
     model = Model(lp, [x], [], [], [])
     for j in range(steps):
-        _stay_in(lp, x, X)
+        lp.add_rows(x, X.H, upper=X.h)
         step = None if known is None else known[j]
         u = add_network(lp, loop.network, x, bounds, step)
         ends = slice(n * (j + 1), n * (j + 2))
@@ -155,7 +193,7 @@ def build(loop, F, steps, bounds="lp", formulation="whole", box=None, known=None
     return model
 
 
-def build_inputs(loop, F, bounds, box, known):
+def build_inputs(loop, F, bounds, box, known, end=np.inf):
     """The model of eq. MI_Constraints_NN alone, u(0) = Phi(x(0)) over x(0) in F & X; arguments as in `build`.
 
     Returns
@@ -164,16 +202,17 @@ def build_inputs(loop, F, bounds, box, known):
         Its last "state" is u(0).
     """
     lp, X = LinearProgram(), loop.system.state_set
+    lp.end = end
     x = lp.add_columns(box.lower[0], box.upper[0])
-    _stay_in(lp, x, F)
-    _stay_in(lp, x, X)
+    lp.add_rows(x, F.H, upper=F.h)
+    lp.add_rows(x, X.H, upper=X.h)
     u = add_network(lp, loop.network, x, bounds, known[0])
     return Model(lp, [x, u], [], [], [u])
 
 
 def root_box(loop, start, steps):
     """The box of (x(0), d(0), ..., d(k - 2)) around start x D x ... x D, as Boxes."""
-    x_low, x_high = start.bounding_box()
+    x_low, x_high = proven_box(start)
     d_low, d_high = disturbance_box(loop.system.modes)
     low, high = widened(
         np.concatenate([x_low, np.tile(d_low, steps - 1)]), np.concatenate([x_high, np.tile(d_high, steps - 1)])
@@ -193,10 +232,10 @@ def add_network(lp, network, x, bounds="lp", known=None):
         neurons = []
         for neuron in range(layer.width):
             rows = slice(neuron * layer.pool, (neuron + 1) * layer.pool)
-            z = q.map(layer.weight[rows], layer.bias[rows])
+            z = q.map(lp, layer.weight[rows], layer.bias[rows])
             neurons.append(_add_neuron(lp, z, bounds, None if known is None else known.layers[i].neuron(neuron)))
         q = Affine.join(neurons)
-    return _add_values(lp, q.map(network.weight, network.bias), bounds, known and known.inputs)
+    return _add_values(lp, q.map(lp, network.weight, network.bias), bounds, known and known.inputs)
 
 
 def add_system(lp, system, x, u, bounds="lp", met=None, d_box=None):
@@ -212,12 +251,12 @@ def add_system(lp, system, x, u, bounds="lp", met=None, d_box=None):
         if lp.upper[on] == 0:
             continue
         for row, offset in zip(mode.region.H, mode.region.h):
-            if met is None and lower_bound(lp, xu, row, -offset, bounds) > 10 * TOLERANCE:
+            if met is None and lower_bound(lp, xu, row, -offset, bounds) > 0:
                 lp.set_bounds(on, 0, 0)
                 break
             M = upper_bound(lp, xu, row, -offset, bounds)
             if M > 0:
-                lp.add_row([*xu, on], [*row, M], upper=offset + M)
+                lp.add_row([*xu, on], [*row, M], upper=above(offset, M))
     images = {i: _image_bounds(lp, modes[i], gamma[i], xu, bounds) for i in np.flatnonzero(lp.upper[gamma] > 0)}
     images = {i: bound for i, bound in images.items() if bound is not None}
     if not images:
@@ -226,6 +265,7 @@ def add_system(lp, system, x, u, bounds="lp", met=None, d_box=None):
         lp.set_bounds(gamma[list(images)], 1, 1)
     else:
         lp.binaries.extend(gamma[list(images)])
+        lp.first.extend(gamma[list(images)])
     chosen = [modes[i] for i in images]
     d_low, d_high = widened(*disturbance_box(chosen))
     if d_box is not None:
@@ -249,9 +289,9 @@ def add_system(lp, system, x, u, bounds="lp", met=None, d_box=None):
             lp.add_row([part[c], on], [1, -high[c]], upper=0)  # eq. MI_PWA_xTilde
             lp.add_row([part[c], on], [1, -low[c]], lower=0)
             row = [*mode.A[c], *mode.B[c], 1, -1]  # eq. MI_PWA_ABpd
-            M_high, M_low = high_all[c] + d_high[c], low_all[c] + d_low[c]
-            lp.add_row([*xu, d[c], part[c], on], [*row, M_high], upper=M_high - mode.p[c])
-            lp.add_row([*xu, d[c], part[c], on], [*row, M_low], lower=M_low - mode.p[c])
+            M_high, M_low = above(high_all[c], d_high[c]), below(low_all[c], d_low[c])
+            lp.add_row([*xu, d[c], part[c], on], [*row, M_high], upper=above(M_high, -mode.p[c]))
+            lp.add_row([*xu, d[c], part[c], on], [*row, M_low], lower=below(M_low, -mode.p[c]))
         parts.append(part)
     after = lp.add_columns(
         np.min([lp.lower[part] for part in parts], axis=0), np.max([lp.upper[part] for part in parts], axis=0)
@@ -263,12 +303,12 @@ def add_system(lp, system, x, u, bounds="lp", met=None, d_box=None):
 
 def disturbance_box(modes):
     """The smallest box around all disturbance sets: two arrays (n,)."""
-    lower, upper = zip(*(mode.disturbance.bounding_box() for mode in modes))
+    lower, upper = zip(*(proven_box(D) for D in {mode.disturbance for mode in modes}))
     return np.min(lower, axis=0), np.max(upper, axis=0)
 
 
 def widened(low, high):
-    """Bounds moved apart so that they cut off nothing; rows beside them hold the exact limits."""
+    """Bounds moved apart, by far more than HiGHS's tolerances; rows beside them hold the exact limits."""
     return low - SAFETY * (1 + np.abs(low)), high + SAFETY * (1 + np.abs(high))
 
 
@@ -278,15 +318,16 @@ def widened(low, high):
 def _add_neuron(lp, z, bounds, known):
     """One maxout neuron with channels z: its value as Affine, one column if more than one channel may win."""
     alive, ahead = _compare(lp, z, bounds, known)
+    z = Affine(z.matrix[alive], z.constant[alive], z.error[alive])
     if len(alive) == 1:
-        return Affine(z.matrix[alive], z.constant[alive])
-    low, high = _range(lp, Affine(z.matrix[alive], z.constant[alive]), bounds, known)
+        return z
+    low, high = _range(lp, z, bounds, known)
     column = lp.add_columns(low.max(), high.max())
     deltas = lp.add_columns(np.zeros(len(alive)), np.ones(len(alive)))
-    for j, delta in zip(alive, deltas):
-        M = max(ahead[i, j] for i in alive if i != j)
-        lp.add_row([*column, *z.support], [1, *-z.matrix[j]], lower=z.constant[j])
-        lp.add_row([*column, *z.support, delta], [1, *-z.matrix[j], M], upper=z.constant[j] + M)
+    for j, (delta, (row, offset, error)) in enumerate(zip(deltas, z.rows)):
+        M = max(ahead[i, alive[j]] for i in alive if i != alive[j])
+        lp.add_row([*column, *z.support], [1, *-row], lower=below(offset, -error))
+        lp.add_row([*column, *z.support, delta], [1, *-row, M], upper=above(offset, error, M))
     lp.add_row(deltas, np.ones(len(alive)), 1, 1)
     lp.binaries.extend(deltas)
     return Affine.columns(column)
@@ -304,8 +345,7 @@ def _compare(lp, z, bounds, known):
     for i in list(alive):
         for j in alive:
             if i != j:
-                apart, offset = z.matrix[i] - z.matrix[j], z.constant[i] - z.constant[j]
-                ahead[i, j] = min(ahead[i, j], upper_bound(lp, z.support, apart, offset, bounds))
+                ahead[i, j] = min(ahead[i, j], z.minus(lp, i, j).most(lp, bounds)[0])
                 if ahead[i, j] <= 0:  # z_i never exceeds z_j
                     alive.remove(i)
                     break
@@ -325,17 +365,18 @@ def _range(lp, values, bounds, known):
 def _add_values(lp, values, bounds, known):
     """Columns that equal the affine functions `values`."""
     columns = lp.add_columns(*_range(lp, values, bounds, known))
-    for column, row, offset in zip(columns, values.matrix, values.constant):
-        lp.add_row([column, *values.support], [1, *-row], offset, offset)
+    for column, (row, offset, error) in zip(columns, values.rows):
+        limits = (below(offset, -error), above(offset, error)) if error else (offset, offset)
+        lp.add_row([column, *values.support], [1, *-row], *limits)
     return columns
 
 
 def _image_bounds(lp, mode, on, xu, bounds):
     """Bounds of A x + B u + p where the mode acts and anywhere: low, high, low_all, high_all, each (n,).
 
-    None, and the mode switched off for good, where the relaxation shows that it is out of reach.
+    None, and the mode switched off for good, where the relaxation proves that it is out of reach.
     """
-    image = Affine.columns(xu).map(np.hstack([mode.A, mode.B]), mode.p)
+    image = Affine.columns(xu).map(lp, np.hstack([mode.A, mode.B]), mode.p)
     low_all, high_all = image.least(lp, bounds), image.most(lp, bounds)
     if bounds == "interval":
         return low_all, high_all, low_all, high_all
@@ -355,42 +396,39 @@ def _add_disturbance(lp, modes, gamma, d):
         for row, offset in zip(mode.disturbance.H, mode.disturbance.h):
             M = upper_bound(lp, d, row, -offset, "interval")
             if M > 0:
-                lp.add_row([*d, on], [*row, M], upper=offset + M)
-
-
-def _stay_in(lp, x, P):
-    """H x <= h, moved outward by the solver's tolerance: an end of a thin set that the solver misses is not lost."""
-    lp.add_rows(x, P.H, upper=P.h + MIP_TOLERANCE * np.linalg.norm(P.H, axis=1))
+                lp.add_row([*d, on], [*row, M], upper=above(offset, M))
 
 
 def _paper(loop, F, box, steps):
     """The paper's plain formulation over x(0) in F: all binaries, one big-M a layer and one for the plant."""
     modes, X, n, lp = loop.system.modes, loop.system.state_set, loop.system.state_size, LinearProgram()
     x = lp.add_columns(box.lower[0, :n], box.upper[0, :n])
-    _stay_in(lp, x, F)
+    lp.add_rows(x, F.H, upper=F.h)
     model = Model(lp, [x], [], [], [])
     d_low, d_high = widened(*disturbance_box(modes))
     for _ in range(steps):
-        _stay_in(lp, x, X)
+        lp.add_rows(x, X.H, upper=X.h)
         u = _add_paper_network(lp, loop.network, x)
         gamma, d = lp.add_columns(np.zeros(len(modes)), np.ones(len(modes))), lp.add_columns(d_low, d_high)
         lp.add_row(gamma, np.ones(len(modes)), 1, 1)
         lp.binaries.extend(gamma)
+        lp.first.extend(gamma)
         xu, xud = Affine.columns([*x, *u]), Affine.columns([*x, *u, *d])
-        inside = [xu.map(mode.region.H, -mode.region.h) for mode in modes]
-        images = [xud.map(np.hstack([mode.A, mode.B, np.eye(n)]), mode.p) for mode in modes]
-        within = [Affine.columns(d).map(mode.disturbance.H, -mode.disturbance.h) for mode in modes]
-        every = [*images, *(image.map(-np.eye(n), np.zeros(n)) for image in images), *inside, *within]
+        inside = [xu.map(lp, mode.region.H, -mode.region.h) for mode in modes]
+        images = [xud.map(lp, np.hstack([mode.A, mode.B, np.eye(n)]), mode.p) for mode in modes]
+        within = [Affine.columns(d).map(lp, mode.disturbance.H, -mode.disturbance.h) for mode in modes]
+        every = [*images, *(image.map(lp, -np.eye(n), np.zeros(n)) for image in images), *inside, *within]
         M = max(part.most(lp, "interval").max(initial=0) for part in every)
         parts = [lp.add_columns(np.full(n, -M), np.full(n, M)) for _ in modes]
         for on, part, *rows, image in zip(gamma, parts, inside, within, images):
-            for row, offset in zip(*Affine.join(rows).parts):  # eqs. gammaForR and MI_PWA_Hd
-                lp.add_row([*range(len(row)), on], [*row, M], upper=M - offset)
-            for column, row, offset in zip(part, *image.parts):
+            for row, offset, error in Affine.join(rows).rows:  # eqs. gammaForR and MI_PWA_Hd
+                lp.add_row([*range(len(row)), on], [*row, M], upper=above(M, -offset, error))
+            for column, (row, offset, error) in zip(part, image.rows):
                 lp.add_row([column, on], [1, -M], upper=0)  # eq. MI_PWA_xTilde
                 lp.add_row([column, on], [1, M], lower=0)
-                lp.add_row([*range(len(row)), column, on], [*row, -1, M], upper=M - offset)  # eq. MI_PWA_ABpd
-                lp.add_row([*range(len(row)), column, on], [*row, -1, -M], lower=-M - offset)
+                columns = [*range(len(row)), column, on]
+                lp.add_row(columns, [*row, -1, M], upper=above(M, -offset, error))  # eq. MI_PWA_ABpd
+                lp.add_row(columns, [*row, -1, -M], lower=below(-M, -offset, -error))
         x = lp.add_columns(np.full(n, -M), np.full(n, M))
         for c in range(n):  # eq. MI_PWA_sumXTilde
             lp.add_row([x[c], *(part[c] for part in parts)], [1, *[-1] * len(parts)], 0, 0)
@@ -403,19 +441,19 @@ def _add_paper_network(lp, network, x):
     """Eq. MI_Constraints_NN as it is printed: columns of u."""
     q = Affine.columns(x)
     for layer in network.hidden:
-        z = q.map(layer.weight, layer.bias)
+        z = q.map(lp, layer.weight, layer.bias)
         low, high = (
             ends.reshape(layer.width, layer.pool) for ends in (z.least(lp, "interval"), z.most(lp, "interval"))
         )
-        M = (high.max(axis=1) - low.min(axis=1)).max()  # the paper's b-bar of the layer
+        M = above(*max(zip(high.max(axis=1), -low.min(axis=1)), key=sum))  # the paper's b-bar of the layer
         columns = lp.add_columns(low.max(axis=1), high.max(axis=1))
         deltas = lp.add_columns(np.zeros(len(z.constant)), np.ones(len(z.constant)))
-        for j, delta in enumerate(deltas):
+        for j, (delta, (row, offset, error)) in enumerate(zip(deltas, z.rows)):
             column = columns[j // layer.pool]
-            lp.add_row([column, *z.support], [1, *-z.matrix[j]], lower=z.constant[j])
-            lp.add_row([column, *z.support, delta], [1, *-z.matrix[j], M], upper=z.constant[j] + M)
+            lp.add_row([column, *z.support], [1, *-row], lower=below(offset, -error))
+            lp.add_row([column, *z.support, delta], [1, *-row, M], upper=above(offset, error, M))
         for group in deltas.reshape(layer.width, layer.pool):
             lp.add_row(group, np.ones(layer.pool), 1, 1)
         lp.binaries.extend(deltas)
         q = Affine.columns(columns)
-    return _add_values(lp, q.map(network.weight, network.bias), "interval", None)
+    return _add_values(lp, q.map(lp, network.weight, network.bias), "interval", None)

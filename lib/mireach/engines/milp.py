@@ -3,10 +3,15 @@
 Three formulations answer the same question. "paper" is eq. MILPReachableSets as it is printed, "whole" is one model
 with a big-M for every row and without what bounds show to be superfluous, and "split" is a branch and bound over boxes
 of the state space: affine bounds (`boxes`) settle most of them, and what is left are models with a handful of binaries.
+
+A bound is one of boxes, with rounding counted, or the largest of the nodes of a search tree, each proven by weak
+duality: HiGHS proposes multipliers and incumbents and is not believed. Only where a model with many binaries takes more
+than `lp.PROOF_NODES` nodes, HiGHS's own bound is returned, and the support says that it rests on it. A value is
+attained by a trajectory that satisfies all constraints in rational arithmetic (`attained`).
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import product
 from os import cpu_count
@@ -18,19 +23,20 @@ import numpy as np
 from ..checks import positive_number, real_array, whole_number
 from ..errors import SolverError, SolverStopped
 from ..lp import BRANCHED, GAP, MIP_TOLERANCE
-from .bounds import METHODS, SAFETY
-from .boxes import ROUNDING, Boxes, bound_loop
-from .common import Support, checked_query, empty_support, replay
+from .attained import attained
+from .bounds import METHODS, SAFETY, proven_support
+from .boxes import Boxes, bound_loop
+from .common import COUNTED, SOLVER, Support, checked_query, empty_support, replay
 from .formulation import Model, build, build_inputs, root_box
 
 __all__ = ["FORMULATIONS", "Model", "build", "support", "violating_state"]
 
 FORMULATIONS = ("split", "whole", "paper")
-MARGIN = (
-    2e-10  # beside MIP_TOLERANCE, by which what is better may be pruned: for gap and LPs, relative to 1 + the bound
-)
+MARGIN = 2e-10  # beside MIP_TOLERANCE and the gap, by which a bound may stay above the value (relative to 1 + it)
 LOOSE = 1e-7  # a bound further above the best trajectory is asked for again with smaller big-M (relative to 1 + it)
-DOUBT = 1e-6  # a trajectory above the bound by more shows that HiGHS is wrong (relative to 1 + its size)
+DOUBT = 1e-6  # a trajectory above the bound by more shows that the bound is wrong (relative to 1 + its size)
+OUTSIDE = 1e-11  # a point of a linear program that is farther outside of its polytope is the tip of a needle
+KEPT = 6  # trajectories a direction, the best ones: rational arithmetic may reject some of them
 INPUT_TOLERANCE = 1e-7  # how far Phi may leave U, for rounding (relative to 1 + the size of the limit)
 FEW = 8  # binaries a step of a box that is not split further
 MANY = 40  # boxes solved for one direction, divided by k^2, after which one model of all of F settles it
@@ -81,7 +87,8 @@ def support(
         The answer for a larger set, and the same V and steps, or its bounds alone: they hold here, and where simulation
         attains them, nothing is solved. Of an answer by "split" the boxes and their bounds are taken on as well.
     time_limit : float or None
-        Seconds for each direction.
+        Seconds for the whole call: all directions, all steps and the building of models. It is looked at between
+        linear programs, so that a call may take a little longer.
     gap : float
         Relative gap between bound and value at which the solver may stop. HiGHS's own default of 1e-4
         would be far too loose for sets that are compared with each other.
@@ -93,16 +100,17 @@ def support(
     Returns
     -------
     Support
-        `bound` is the dual bound of `LinearProgram.maximize_integer` plus HiGHS's tolerance, or that of boxes where no
-        model is needed; `value` what the witness attains when it is replayed on the loop (constraints hold to HiGHS's
-        tolerance of 1e-9). By "split" it is a `BoxSupport`, which helps as `known` for a smaller set.
+        `bound` is that of the boxes, or the dual bound of `LinearProgram.maximize_integer`. `value` is attained by a
+        trajectory in rational arithmetic and rounded downward; the witness is that trajectory, rounded to floats. It
+        is -inf, without a witness, where no such trajectory is found. `rests_on` is COUNTED, or SOLVER if a bound of
+        HiGHS that is not proven contributes. By "split" it is a `BoxSupport`, which helps as `known` for a smaller set.
 
     Raises
     ------
     SolverStopped
-        If the time limit came first; its `support` holds what is known.
+        If the time limit came first; its `support` holds what is known, and `bound` is proven.
     SolverError
-        If HiGHS ends without an answer, or with bounds that its own trajectories pass.
+        If a bound cannot be right because a trajectory passes it.
     ValueError
         If an argument is not as above.
     """
@@ -114,8 +122,8 @@ def support(
         raise ValueError(f"formulation must be one of {FORMULATIONS}; got {formulation!r}")
     if bounds not in METHODS:
         raise ValueError(f"bounds must be one of {METHODS}; got {bounds!r}")
-    time_limit = None if time_limit is None else positive_number(time_limit, "time_limit")
-    before = known if isinstance(known, BoxSupport) else None
+    end = np.inf if time_limit is None else perf_counter() + positive_number(time_limit, "time_limit")
+    before, given = known if isinstance(known, BoxSupport) else None, known
     known = known.bound if isinstance(known, Support) else known
     cutoff, known = _one_a_row(cutoff, "cutoff", V, -np.inf), _one_a_row(known, "known", V, np.inf)
     jobs = None if jobs is None else whole_number(jobs, "jobs", 1)
@@ -125,21 +133,33 @@ def support(
         return empty_support(len(V))
     if before is not None and before.boxes.lower.shape[1] != V.shape[1] * steps:
         raise ValueError(f"known is an answer for another number of steps than {steps}")
-    ask = _Ask(loop, start, V, steps, bounds, gap, time_limit, known)
+    ask = _Ask(loop, start, V, steps, bounds, gap, end, known)
     if formulation == "split":
         answers, covering = _split(ask, cutoff, jobs, before)
     else:
         answers, covering = _at_once(ask, formulation, jobs), None
-    value, bound = (np.array([getattr(answer, name) for answer in answers]) for name in ("value", "bound"))
-    witness = tuple(answer.witness(loop) for answer in answers)
-    if (bound == -np.inf).any() and all(one is None for one in witness):
+    bound = np.array([answer.bound for answer in answers])
+    reached = [attained(loop, start, answer.v, answer.paths, end=end) for answer in answers]
+    if (bound == -np.inf).any() and all(one is None for one in reached):
         return empty_support(len(V))
+    value = np.array([-np.inf if one is None else one.value for one in reached])
+    witness = tuple(None if one is None else one.witness() for one in reached)
     _require_consistent(V, bound, witness)
     found = value, np.maximum(bound, value), witness
-    found = Support(*found) if covering is None else BoxSupport(*found, *covering)
+    rests_on = _rests_on(given, all(answer.proven for answer in answers))
+    found = Support(*found, rests_on=rests_on) if covering is None else BoxSupport(*found, *covering, rests_on=rests_on)
     if not all(answer.finished for answer in answers):
-        raise SolverStopped(f"HiGHS was stopped by time_limit = {time_limit} s; allow more time", found)
+        raise SolverStopped(_stopped(time_limit), found)
     return found
+
+
+def _stopped(time_limit):
+    return f"the MILP was stopped by time_limit = {time_limit} s; allow more time"
+
+
+def _rests_on(known, proven):
+    """What an answer rests on, given whether its own bounds are proven and what was known before."""
+    return SOLVER if not proven or (isinstance(known, Support) and known.rests_on == SOLVER) else COUNTED
 
 
 def _one_a_row(values, name, V, missing):
@@ -173,8 +193,8 @@ class BoxSupport(Support):
 class _Ask:
     """The question: the largest v x(k), or v u(0), over trajectories from F, for each row v of V.
 
-    F lies in X. `known` (k,) are bounds that hold already; `inputs` asks for u(0) instead of x(k); the rest is as in
-    `support`.
+    F lies in X. `known` (k,) are bounds that hold already; `end` is the `perf_counter` at which the time is over;
+    `inputs` asks for u(0) instead of x(k); the rest is as in `support`.
     """
 
     loop: object
@@ -183,14 +203,14 @@ class _Ask:
     steps: int
     bounds: str
     gap: float
-    time_limit: float | None
+    end: float
     known: np.ndarray
     inputs: bool = False
 
     @cached_property
     def spread(self):
-        """Support function of the disturbance sets along V: (s, k)."""
-        known = {D: D.support(self.V) for D in {mode.disturbance for mode in self.loop.system.modes}}
+        """Upper bounds of the support function of the disturbance sets along V: (s, k)."""
+        known = {D: proven_support(D, self.V) for D in {mode.disturbance for mode in self.loop.system.modes}}
         return np.array([known[mode.disturbance] for mode in self.loop.system.modes])
 
     def highest(self, bounds):
@@ -204,37 +224,51 @@ class _Ask:
     def model(self, bounds, box, known):
         """The MILP on one box, or None."""
         if self.inputs:
-            return build_inputs(self.loop, self.F, bounds, box, known)
-        return build(self.loop, self.F, self.steps, bounds, "whole", box, known)
+            return build_inputs(self.loop, self.F, bounds, box, known, self.end)
+        return build(self.loop, self.F, self.steps, bounds, "whole", box, known, self.end)
+
+    @property
+    def remaining(self):
+        """Seconds until the time is over, or None."""
+        return None if self.end == np.inf else max(self.end - perf_counter(), 0.0)
 
 
 @dataclass(eq=False)
 class _Answer:
-    """What is known along one direction: the best trajectory and its value, and the bound."""
+    """What is known along one direction: the best trajectories, what they attain in floats, and the bound.
+
+    Attributes
+    ----------
+    paths : list of (value, (x(0), modes, disturbances))
+        The best first; the last disturbance may be left out.
+    proven : bool
+        Whether the bound rests on no bound of HiGHS.
+    """
 
     v: np.ndarray
-    value: float = -np.inf
     bound: float = -np.inf
-    path: tuple | None = None  # x(0), modes, disturbances; the last disturbance may be left out
+    paths: list = field(default_factory=list)
     finished: bool = True
+    proven: bool = True
+
+    @property
+    def value(self):
+        """The largest value that floats attain."""
+        return self.paths[0][0] if self.paths else -np.inf
+
+    @property
+    def path(self):
+        """The trajectory that attains it, or None."""
+        return self.paths[0][1] if self.paths else None
 
     def offer(self, value, path):
         """Keep a trajectory if it is better."""
         if value > self.value:
-            self.value, self.path = float(value), path
-
-    def witness(self, loop):
-        """The trajectory as a Witness, or None."""
-        if self.path is None:
-            return None
-        x, modes, disturbances = self.path
-        if len(disturbances) < len(modes):
-            disturbances = [*disturbances, loop.system.modes[modes[-1]].disturbance.farthest(self.v)]
-        return replay(loop, x, modes, disturbances)
+            self.paths = [(float(value), path), *self.paths[: KEPT - 1]]
 
 
 def _above(value, gap=0.0):
-    """What may have been missed above a value that a solver calls the largest."""
+    """A bound that is close enough above an attained value."""
     return value + np.where(np.isfinite(value), MIP_TOLERANCE + (MARGIN + gap) * (1 + np.abs(value)), 0)
 
 
@@ -246,10 +280,10 @@ def _split(ask, cutoff, jobs, before=None):
 
     It begins with the boxes of `before`, the BoxSupport of a larger set, where that is not much larger than F.
     """
-    answers, begin = [_Answer(v) for v in ask.V], perf_counter()
+    answers = [_Answer(v) for v in ask.V]
     simulation = _Simulation(ask, answers)
     simulation.improve()
-    k, budget = len(ask.V), np.inf if ask.time_limit is None else ask.time_limit * len(ask.V)
+    k = len(ask.V)
     root = boxes = root_box(ask.loop, ask.F, ask.steps)
     upper, settled, looked, left, done = ask.known[None].copy(), np.full(k, -np.inf), 0, [], []
     if before is not None and (root.reach / before.root.reach).prod() > FITTING:
@@ -271,7 +305,7 @@ def _split(ask, cutoff, jobs, before=None):
         below = ~keep & np.isfinite(upper).any(axis=1)
         done.append((boxes.take(below), upper[below]))
         wide = boxes.reach > NARROW * (1 + boxes.size)
-        stop = looked > MOST_BOXES / ask.steps**4 or perf_counter() - begin > budget
+        stop = looked > MOST_BOXES / ask.steps**4 or perf_counter() > ask.end
         leaf = keep & (stop | (binaries <= FEW * ask.steps) | ~wide.any(axis=1))
         left.append((boxes.take(leaf), upper[leaf]))
         on = keep & ~leaf
@@ -317,32 +351,29 @@ class _Leaves:
             return self.ask.model(bounds, box, bound_loop(self.ask.loop, box, self.ask.steps).at(0))
         return self.ask.model(bounds, self.boxes.take([index]), self.found.at(index))
 
-    def solve(self, index, bounds, answer, time_limit, cutoff):
+    def solve(self, index, bounds, answer, cutoff):
         """The bound on one box along the answer's direction, or one that is not above the cutoff."""
         shared = self.models.setdefault((index, bounds), _Shared(partial(self.model, index, bounds)))
-        return shared.solve(self.ask, answer, time_limit, cutoff)
+        return shared.solve(self.ask, answer, cutoff)
 
     def settle(self, row, answer, cutoff):
         """Solve on one box after another, the most promising first, until the others cannot be better."""
-        begin, upper, careful = perf_counter(), self.upper[:, row], self.ask.bounds
+        upper, careful = self.upper[:, row], self.ask.bounds
         for count, index in enumerate(np.argsort(-upper, kind="stable")):
             if upper[index] <= self.ask.enough(answer.value, cutoff):
                 answer.bound = max(answer.bound, upper[index])
                 break
-            remaining = None if self.ask.time_limit is None else self.ask.time_limit - (perf_counter() - begin)
-            if remaining is not None and remaining <= 0:
+            if perf_counter() > self.ask.end:
                 answer.finished, answer.bound = False, max(answer.bound, upper[index])
                 break
             if count == self.many:
-                answer.bound = max(
-                    answer.bound, min(self.solve(None, careful, answer, remaining, cutoff), upper[index])
-                )
+                answer.bound = max(answer.bound, min(self.solve(None, careful, answer, cutoff), upper[index]))
                 break
             quick = "interval" if self.simple[index] else careful
-            bound = min(self.solve(index, quick, answer, remaining, cutoff), upper[index])
+            bound = min(self.solve(index, quick, answer, cutoff), upper[index])
             loose = bound > max(answer.value + LOOSE * (1 + abs(bound)), cutoff)
             if answer.finished and loose and quick != careful:
-                bound = min(bound, self.solve(index, careful, answer, remaining, cutoff))  # smaller big-M
+                bound = min(bound, self.solve(index, careful, answer, cutoff))  # smaller big-M
             answer.bound = max(answer.bound, bound)
 
 
@@ -352,13 +383,13 @@ class _Shared:
     def __init__(self, build):
         self._build, self._building, self._idle = build, Lock(), []
 
-    def solve(self, ask, answer, time_limit, cutoff=-np.inf):
+    def solve(self, ask, answer, cutoff=-np.inf):
         """The bound along the answer's direction, or one that is not above the cutoff; -inf if there is no model."""
         with self._building:
             if self._model is None:
                 return -np.inf
             model = self._idle.pop() if self._idle else replace(self._model, program=self._model.program.copy())
-        bound = _ask_solver(ask, model, answer, time_limit, cutoff)
+        bound = _ask_solver(ask, model, answer, cutoff)
         self._idle.append(model)
         return bound
 
@@ -386,6 +417,8 @@ class _Simulation:
         states = self.rng.dirichlet(np.full(len(corners), 0.5), SAMPLES) @ corners
         self.try_all(np.vstack([corners, states]))
         for shrink in 0.6 ** np.arange(1, rounds + 1):
+            if perf_counter() > self.ask.end:
+                return
             paths = [answer.path for answer in self.answers if answer.path is not None]
             if not paths:
                 return
@@ -442,11 +475,11 @@ class _Simulation:
 def _extreme_points(P, V):
     """Points of a polytope that are farthest along the rows of V: (e, n).
 
-    An LP's tolerance can lead far beyond the tip of a needle: such points are left out, unless there are no others.
+    Rounding can lead beyond the tip of a needle: such points are left out, unless there are no others.
     """
     points = np.array([P.farthest(v) for v in V])
     excess = (points @ P.H.T - P.h).max(axis=1)
-    return points[excess <= max(ROUNDING, excess.min())]
+    return points[excess <= max(OUTSIDE, excess.min())]
 
 
 # -- one model ----------------------------------------------------------------------------------------
@@ -455,33 +488,35 @@ def _extreme_points(P, V):
 def _at_once(ask, formulation, jobs):
     """An _Answer for each direction, from one model of all of F."""
     answers = [_Answer(v) for v in ask.V]
-    model = _Shared(partial(build, ask.loop, ask.F, ask.steps, ask.bounds, formulation))
+    model = _Shared(partial(build, ask.loop, ask.F, ask.steps, ask.bounds, formulation, end=ask.end))
+    _Simulation(ask, answers).improve()
+    root = bound_loop(ask.loop, root_box(ask.loop, ask.F, ask.steps), ask.steps)
+    known = np.minimum(ask.known, ask.highest(root)[0])
 
     def settle(row):
-        answers[row].bound = min(model.solve(ask, answers[row], ask.time_limit), ask.known[row])
+        answers[row].bound = min(model.solve(ask, answers[row]), known[row])
 
     _share(settle, len(answers), jobs, True)
     return answers
 
 
-def _ask_solver(ask, model, answer, time_limit, cutoff):
+def _ask_solver(ask, model, answer, cutoff):
     """Solve a model along the answer's direction, offer its trajectory to the answer, and return the bound."""
     enough = max(answer.value, 2 * cutoff - float(_above(cutoff, ask.gap)) if cutoff > -np.inf else cutoff)
     found = model.program.maximize_integer(
-        model.states[-1], answer.v, gap=ask.gap, enough=enough, time_limit=time_limit
+        model.states[-1], answer.v, gap=ask.gap, enough=enough, time_limit=ask.remaining
     )
-    bound, point = float(_above(found.bound)), found.point
     answer.finished &= found.finished
-    if point is None:
-        return bound
-    x = point[model.states[0]]
-    if ask.inputs:
-        answer.offer(answer.v @ ask.loop.network(x), (x, [], []))
-        return bound
-    modes = [int(np.argmax(point[columns])) for columns in model.modes]
-    path = (x, modes, [point[d] for d in model.disturbances])
-    answer.offer(answer.v @ replay(ask.loop, *path).states[-1], path)
-    return bound
+    answer.proven &= found.proven
+    if found.point is not None:
+        x = found.point[model.states[0]]
+        modes = [int(np.argmax(found.point[columns])) for columns in model.modes]
+        path = (x, modes, [found.point[d] for d in model.disturbances])
+        if ask.inputs:
+            answer.offer(answer.v @ ask.loop.network(x), path)
+        else:
+            answer.offer(answer.v @ replay(ask.loop, *path).states[-1], path)
+    return found.bound
 
 
 def _share(work, count, jobs, large):
@@ -498,18 +533,36 @@ def _share(work, count, jobs, large):
 # -- checks -------------------------------------------------------------------------------------------
 
 
-def violating_state(loop, U, bounds="lp"):
-    """A state (n,) of X at which Phi leaves the Polytope U by more than `INPUT_TOLERANCE`, or None."""
-    X = loop.system.state_set
-    tol = INPUT_TOLERANCE * (1 + np.abs(U.h))
+def violating_state(loop, U, bounds="lp", time_limit=None):
+    """A state (n,) of X at which Phi leaves the Polytope U by more than `INPUT_TOLERANCE`, or None.
+
+    Raises
+    ------
+    SolverStopped
+        If the time limit, in seconds, came first.
+    SolverError
+        If it can neither be shown that Phi stays in U nor that it leaves.
+    """
+    end = np.inf if time_limit is None else perf_counter() + positive_number(time_limit, "time_limit")
+    X, limit = loop.system.state_set, U.h + INPUT_TOLERANCE * (1 + np.abs(U.h))
     found = bound_loop(loop, root_box(loop, X, 1))
-    open_rows = found.highest_input(U.H)[0] > U.h + tol
+    open_rows = found.highest_input(U.H)[0] > limit
     if not open_rows.any():
         return None
-    ask = _Ask(loop, X, U.H[open_rows], 1, bounds, GAP, None, np.full(len(open_rows), np.inf), inputs=True)
-    for answer, limit in zip(_split(ask, (U.h + tol)[open_rows], 1)[0], (U.h + tol)[open_rows]):
-        if answer.path is not None and answer.value > limit:
-            return answer.path[0]
+    V, limit = U.H[open_rows], limit[open_rows]
+    ask = _Ask(loop, X, V, 1, bounds, GAP, end, np.full(len(V), np.inf), inputs=True)
+    for answer, most in zip(_split(ask, limit, 1)[0], limit):
+        if answer.bound <= most:
+            continue
+        reached = attained(loop, X, answer.v, answer.paths, inputs=True, end=end)
+        if reached is not None and reached.value > most:
+            return reached.start
+        if not answer.finished:
+            raise SolverStopped(_stopped(time_limit))
+        raise SolverError(
+            f"it could not be shown that the network stays in the input set: {answer.v.tolist()} u is at most "
+            f"{answer.bound:.9g}, where {most:.9g} is allowed; use network.saturate(lower, upper)"
+        )
     return None
 
 
@@ -521,6 +574,6 @@ def _require_consistent(V, bound, witness):
     worst = int(np.argmax(excess))
     if excess[worst] > DOUBT * (1 + abs(reached[worst])):
         raise SolverError(
-            f"HiGHS bounds direction {V[worst].tolist()} by {bound[worst]:.9g}, but a trajectory passes this by "
+            f"direction {V[worst].tolist()} is bounded by {bound[worst]:.9g}, but a trajectory passes this by "
             f'{excess[worst]:.3g}; try another formulation, or engine="cells" for two states'
         )

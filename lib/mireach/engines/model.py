@@ -9,7 +9,8 @@ import warnings
 import numpy as np
 
 from ..errors import SolverStopped
-from .common import Support, checked_query, empty_support, replay
+from .attained import attained
+from .common import SOLVER, Support, checked_query, empty_support
 
 TOLERANCE = 1e-7  # added to what the solver calls optimal, in units of v x
 ZERO_GAP = {
@@ -55,8 +56,9 @@ def support(loop, F, V, steps=1, *, solver="HIGHS", time_limit=None, tolerance=T
     Returns
     -------
     Support
-        `value` is attained by the witness, replayed through the loop. `bound` is the solver's optimum plus
-        `tolerance`: cvxpy hands on no dual bound, so it is as accurate as the solver, and not proven.
+        `value` is attained by the witness in rational arithmetic, or -inf without one. `bound` is the solver's optimum
+        plus `tolerance`: cvxpy does not expose the dual bound, so it is as accurate as the solver and not proven
+        (`rests_on` is SOLVER).
 
     Raises
     ------
@@ -78,13 +80,14 @@ def support(loop, F, V, steps=1, *, solver="HIGHS", time_limit=None, tolerance=T
         v.value = row
         optimum = _solve(problem, solver, options, len(V))
         if optimum is None:
-            return empty_support(len(V))
+            return empty_support(len(V), SOLVER)
         modes = [int(np.argmax(choice.value)) for choice in gamma]
-        witness = replay(loop, x[0].value, modes, np.array([part.value for part in d]))
-        value = float(row @ witness.states[-1])
+        reached = attained(loop, start, row, [(optimum, (x[0].value, modes, [part.value for part in d]))])
+        value = -np.inf if reached is None else reached.value
+        witness = None if reached is None else reached.witness()
         answers.append((value, max(value, optimum) + tolerance, witness))
     values, bounds, witnesses = zip(*answers) if answers else ((), (), ())
-    return Support(np.array(values), np.array(bounds), tuple(witnesses))
+    return Support(np.array(values), np.array(bounds), tuple(witnesses), rests_on=SOLVER)
 
 
 def model(loop, F, steps):
@@ -215,5 +218,5 @@ def _solve(problem, solver, options, count):
         return float(problem.value)
     if status in (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED):
         return None
-    nothing = Support(np.full(count, -np.inf), np.full(count, np.inf), (None,) * count)
+    nothing = Support(np.full(count, -np.inf), np.full(count, np.inf), (None,) * count, rests_on=SOLVER)
     raise SolverStopped(f"{solver} ended with: {status}", nothing)
