@@ -244,7 +244,7 @@ def fit_pwa(
     domain, n = system.state_set.product(system.input_set), system.state_set.dimension
     fit = {"least_squares": _least_squares, "minimax": _minimax}[method]
     scale = _scale(system)
-    points = [_grid_points(_in_units(domain & region, scale), int(grid)) * scale for region in regions]
+    points = [_grid_points((domain & region).in_units(scale), int(grid)) * scale for region in regions]
     values = [_values(system.f, z, n, number) for number, z in enumerate(points, start=1)]
     modes = [_mode(fit, z, y, region, scale) for z, y, region in zip(points, values, regions)]
     proof = prove_error(system, modes, tol=tol, max_boxes=max_boxes)
@@ -318,7 +318,7 @@ def prove_error(
     with precision(bits):
         found = [
             _search(
-                _Residual(system.f, m, directions, scale, unit), _in_units(domain & m.region, scale), tol, max_boxes
+                _Residual(system.f, m, directions, scale, unit), (domain & m.region).in_units(scale), tol, max_boxes
             )
             for m in modes
         ]
@@ -414,32 +414,9 @@ def _power_below(sizes):
     return np.where(sizes > 0, np.ldexp(0.5, np.frexp(sizes)[1]), 1.0)
 
 
-def _in_units(P, scale):
-    """{z : H (scale z) <= h} for powers of two, each row multiplied by one so that its largest entry is near 1.
-
-    Raises
-    ------
-    ValueError
-        If a number is too large or too small to be multiplied without rounding.
-    """
-    H = _times(P.H, scale)
-    rows = 1 / _power_below(np.abs(H).max(axis=1))
-    return Polytope(_times(H, rows[:, None]), _times(P.h, rows))
-
-
 def _upper(bound, unit):
     """The float bound * unit, rounded upward; -inf and inf stay."""
     return upper_float(ball(bound) * ball(unit)) if np.isfinite(bound) else bound
-
-
-def _times(array, powers):
-    """array * powers for powers of two, without rounding; ValueError where that is impossible."""
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        found = array * powers
-        exact = (found / powers == array).all()
-    if not exact:
-        raise ValueError("X x U or a region has numbers too far apart in size for the proof; choose other units")
-    return found
 
 
 # -- fits -----------------------------------------------------------------------------------------
@@ -589,7 +566,7 @@ class _Rows:
         best = self.program.maximize(self.z, objective)
         if best.point is None:
             return None, np.zeros(len(self.P.h))
-        dual = np.array(self.program.highs.getSolution().row_dual)
+        dual = self.program.multipliers()
         return best.point, np.where(dual > 0, dual, 0.0)
 
     def enclosing_box(self):

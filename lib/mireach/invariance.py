@@ -16,6 +16,7 @@ from .loop import ClosedLoop
 from .polytope import Polytope, box_directions, directions
 from .rational import above, below, binary, dot, fractions, nearest, rational, strict_point
 from .reach import default_engine, support
+from .scaling import normal_rows
 from .settle import CLEAR, EXACT, compare, standing, tolerance, weaker
 from .system import NonlinearSystem
 from .units import own_units
@@ -260,7 +261,7 @@ def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progres
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
     V = _with_rows(_template(loop, C), loop.system.state_set.H)
     engine, tol, X = default_engine(loop) if engine is None else engine, tolerance(tol), loop.system.state_set
-    limit, weights = _offsets(X, V), own_units(loop).rows(V)[1]
+    limit, weights = X.offsets(V), own_units(loop).rows(V)[1]
     h, history, image = X.bound(V), [X], None
     with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
         for k in range(max_iterations + 1):
@@ -601,17 +602,9 @@ def _template(loop, C):
 
 
 def _with_rows(C, H):
-    """C, and below it those rows of H that it lacks."""
-    known = {row.tobytes() for row in C}
-    return np.vstack([C, *(row[None] for row in H + 0.0 if row.tobytes() not in known)])
-
-
-def _offsets(P, V):
-    """The offsets of P along the rows of V; inf where V has a row that P has not."""
-    known = {}
-    for row, offset in zip(P.H + 0.0, P.h):  # a row may stand there twice
-        known[row.tobytes()] = min(offset, known.get(row.tobytes(), np.inf))
-    return np.array([known.get(row.tobytes(), np.inf) for row in V])
+    """C, and below it those rows of H that it lacks, up to powers of two."""
+    known = {row.tobytes() for row in normal_rows(C)[0]}
+    return np.vstack([C, *(row[None] for row, own in zip(H, normal_rows(H)[0]) if own.tobytes() not in known)])
 
 
 def _set_to_start_from(safe):
@@ -628,7 +621,7 @@ def _set_to_start_from(safe):
 def _require_rpi(loop, F, V, engine, tol, options):
     """The Comparison of R_1(F) with the rows of F among V; ValueError unless F lies in X and is RPI for this loop."""
     outside = _outside(loop, F)
-    found = None if outside is not None else compare(loop, F, V, _offsets(F, V), engine, tol, **options)
+    found = None if outside is not None else compare(loop, F, V, F.offsets(V), engine, tol, **options)
     if found is None or not found.holds.all():
         reason = outside.reason if found is None else check_rpi(loop, F, engine, tol=tol, **options).reason
         raise ValueError(f"the set to start from is not shown to be RPI for this loop: {reason}")

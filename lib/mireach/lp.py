@@ -189,7 +189,8 @@ class LinearProgram:
         self.highs.changeObjectiveSense(highspy.ObjSense.kMaximize)
         self.lower, self.upper, self.binaries, self.first, self.end = np.zeros(0), np.zeros(0), [], [], np.inf
         self._costed, self._costs, self._factor = np.zeros(0, dtype=np.int32), np.zeros(0), 1.0
-        self._declared, self._asked, self._entries, self._known_rows, self._known_limits = 0, Lock(), [], None, None
+        self._declared, self._asked, self._known_rows, self._known_limits = 0, Lock(), None, None
+        self._entries, self._powers = [], []
 
     @_alone
     def copy(self):
@@ -199,7 +200,8 @@ class LinearProgram:
         other.lower, other.upper, other.end = self.lower.copy(), self.upper.copy(), self.end
         other.binaries, other.first = list(self.binaries), list(self.first)
         other._costed, other._costs, other._factor = self._costed, self._costs, self._factor
-        other._declared, other._entries, other._known_rows = self._declared, list(self._entries), self._rows()
+        other._declared, other._known_rows = self._declared, self._rows()
+        other._entries, other._powers = list(self._entries), list(self._powers)
         return other
 
     def add_columns(self, lower, upper):
@@ -227,16 +229,17 @@ class LinearProgram:
         widened by what they can contribute where their variables have limits.
         """
         coefficients = np.asarray(coefficients, float)
-        lower, upper = float(lower), float(upper)
+        lower, upper, power = float(lower), float(upper), 0
         _, exponent = math.frexp(np.abs(coefficients).max(initial=0))
         scaled = np.ldexp(coefficients, -exponent)
         if exponent < 0 or (np.ldexp(scaled, exponent) == coefficients).all():  # else numbers would become too small
-            coefficients = scaled
+            coefficients, power = scaled, -exponent
             lower, upper = -_scaled_up(-lower, -exponent), _scaled_up(upper, -exponent)
         used = coefficients != 0
         indices, coefficients = np.asarray(columns, np.int32)[used], coefficients[used]
         self._known_rows = None
         self._entries.append((indices, coefficients, lower, upper))
+        self._powers.append(power)
         tiny = np.abs(coefficients) <= TINY
         if tiny.any():
             left_out = indices[tiny]
@@ -268,6 +271,10 @@ class LinearProgram:
         self._declare_binaries(False)
         self.set_objective(columns, coefficients)
         return self._relaxation()
+
+    def multipliers(self):
+        """HiGHS's multipliers y (rows,) of the last maximum, of the rows as given: c = A'y to its tolerances."""
+        return np.ldexp(self._multipliers(), self._powers)
 
     @_alone
     def bound(self, columns, coefficients):

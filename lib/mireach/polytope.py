@@ -21,6 +21,7 @@ from .compiled import EMPTY, FAT, around, dual_bounds, hull, in_units, inclusion
 from .errors import SolverError
 from .lp import LinearProgram
 from .rational import ExactOptimum, above, binary, nearest
+from .scaling import LARGEST, normal_rows, power_of_two, times
 
 TOUCH = 1e-11  # vertices count as one point within this distance, relative to the size of the set in each coordinate
 PARALLEL = 1e-12  # rows of length about 1 whose determinant is below this have no vertex
@@ -227,13 +228,18 @@ class Polytope:
             return np.array([_float(self.exact_maximum(v).value, above) for v in V])
         found = self._plane
         bound = dual_bounds(V, found.local, found.row, found.offset, found.unit)
-        return np.minimum(bound, [self._own_offsets.get((v + 0.0).tobytes(), np.inf) for v in V])
+        return np.minimum(bound, self.offsets(V))
+
+    def offsets(self, V):
+        """The smallest offset that P has along each row v of V: array (k,), inf where no row of H is v times 2^k."""
+        rows, factor = normal_rows(V)
+        return np.array([self._own_offsets.get(row.tobytes(), np.inf) for row in rows]) / factor
 
     @cached_property
     def _own_offsets(self):
-        """The offset of each row of H, the smallest one of equal rows, by its bytes."""
-        own = {}
-        for row, offset in zip(self.H + 0.0, self.h.tolist()):
+        """Offsets by the bytes of the scaled rows."""
+        own, (rows, factor) = {}, normal_rows(self.H)
+        for row, offset in zip(rows, (self.h * factor).tolist()):
             own[row.tobytes()] = min(offset, own.get(row.tobytes(), np.inf))
         return own
 
@@ -515,7 +521,7 @@ class Polytope:
             rows = np.flatnonzero(answer < 1)
         else:
             rows = np.arange(len(Q.h))
-        rows = [r for r in rows if not self._own_offsets.get((Q.H[r] + 0.0).tobytes(), np.inf) <= Q.h[r]]
+        rows = rows[~(self.offsets(Q.H[rows]) <= Q.h[rows])].tolist()
         return not rows or self.is_empty or all(self._stays_below(Q.H[r], Q.h[r], tol) for r in rows)
 
     def _stays_below(self, v, limit, tol):
@@ -669,6 +675,27 @@ class Polytope:
         if centre.shape not in ((), (self.dimension,)):
             raise ValueError(f"centre has shape {centre.shape}, but the polytope lies in R^{self.dimension}")
         return Polytope(self.H, s * self.h + (1 - s) * (self.H @ np.broadcast_to(centre, self.dimension)))
+
+    def in_units(self, scale):
+        """{x' : scale x' in P}, rows scaled by powers of two to a largest entry above 1/2 and up to 1.
+
+        Parameters
+        ----------
+        scale : array (n,)
+            Powers of two.
+
+        Raises
+        ------
+        ValueError
+            If the numbers lie so far apart that rounding would be needed.
+        """
+        H, factor = normal_rows(times(self.H, scale))
+        return Polytope(H, np.clip(self.h * factor, -LARGEST, LARGEST))
+
+    @property
+    def reach(self):
+        """For each axis the smallest power of two that a bounded P nowhere exceeds, up to rounding: array (n,)."""
+        return power_of_two(np.abs(self.bounding_box()).max(axis=0))
 
     def product(self, other):
         """Cartesian product {(x, y) : x in P, y in other}."""

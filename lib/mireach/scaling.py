@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from .polytope import Polytope
-
 LARGEST = np.finfo(float).max  # stands for an offset beyond the range of floats
 
 
@@ -28,30 +26,7 @@ def times(values, factor):
     return scaled
 
 
-def reach_of(P):
-    """For each axis the smallest power of two that a bounded Polytope nowhere exceeds, up to rounding: array (n,)."""
-    return power_of_two(np.abs(P.bounding_box()).max(axis=0))
-
-
-def in_units(P, scale):
-    """{x' : scale x' in P}, rows scaled to a largest entry above 1/2 and up to 1.
-
-    Parameters
-    ----------
-    P : Polytope
-        In R^n.
-    scale : array (n,)
-        Powers of two.
-
-    Returns
-    -------
-    Polytope
-
-    Raises
-    ------
-    ValueError
-        As `times`.
-    """
-    H = times(P.H, scale)
-    factor = 1 / power_of_two(np.abs(H).max(axis=1))
-    return Polytope(H * factor[:, None], np.clip(P.h * factor, -LARGEST, LARGEST))
+def normal_rows(H):
+    """Rows scaled by powers of two to a largest entry above 1/2 and up to 1: H' (l, n), and the factors (l,)."""
+    factor = 1 / power_of_two(np.abs(H).max(axis=1, initial=0))
+    return H * factor[:, None] + 0.0, factor

@@ -10,7 +10,6 @@ import numpy as np
 from .checks import real_array, require_columns, require_kind
 from .polytope import Polytope
 from .rational import binary, dot, nearest, strict_point
-from .scaling import in_units, reach_of
 
 OVERLAP = 1e-7  # radius of the smallest ball that counts as an overlap of regions (relative to the size of X and U)
 OPPOSITE = 1e-6  # rows whose unit normals add up to less than this name the same boundary from both sides
@@ -267,9 +266,9 @@ class NonlinearSystem:
 @lru_cache(maxsize=64)
 def _check_partition(regions, state_set, input_set):
     """Raise ValueError unless the regions cover X x U without overlap (the text after eq. HRep)."""
-    scale = np.concatenate([reach_of(state_set), reach_of(input_set)])
-    domain, n = in_units(state_set.product(input_set), scale), state_set.dimension
-    scaled = [in_units(region, scale) for region in regions]
+    scale = np.concatenate([state_set.reach, input_set.reach])
+    domain, n = state_set.product(input_set).in_units(scale), state_set.dimension
+    scaled = [region.in_units(scale) for region in regions]
     parts = [domain & region for region in scaled]
     for number, part in enumerate(parts, start=1):
         if part.is_empty:

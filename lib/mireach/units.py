@@ -16,7 +16,7 @@ from .errors import SolverStopped
 from .loop import ClosedLoop
 from .network import Layer, MaxoutNetwork
 from .polytope import Polytope
-from .scaling import LARGEST, in_units, power_of_two, reach_of, times
+from .scaling import LARGEST, normal_rows, power_of_two, times
 from .system import Mode, PWASystem
 
 
@@ -87,7 +87,7 @@ def own_units(loop):
     system = loop.system
     regions = tuple(mode.region for mode in system.modes)
     network, regions, X, U, s, t = _parts(loop.network, regions, system.state_set, system.input_set)
-    sets = {D: in_units(D, s) for D in {mode.disturbance for mode in system.modes}}
+    sets = {D: D.in_units(s) for D in {mode.disturbance for mode in system.modes}}
     modes = tuple(
         _made(
             Mode,
@@ -106,9 +106,9 @@ def own_units(loop):
 @lru_cache(maxsize=128)
 def _parts(network, regions, X, U):
     """What loops with other A, B, p and disturbances share: network, regions, X and U in units s and t, and these."""
-    s, t = reach_of(X), reach_of(U)
+    s, t = X.reach, U.reach
     both = np.concatenate([s, t])
-    return _network(network, s, t), tuple(in_units(P, both) for P in regions), in_units(X, s), in_units(U, t), s, t
+    return _network(network, s, t), tuple(P.in_units(both) for P in regions), X.in_units(s), U.in_units(t), s, t
 
 
 def _network(network, s, t):
@@ -126,9 +126,7 @@ def _network(network, s, t):
 @lru_cache(maxsize=128)
 def _rows(units, shape, content):
     """`Units.rows` of an array with this shape and content."""
-    V = times(np.frombuffer(content).reshape(shape), units.state)
-    factor = 1 / power_of_two(np.abs(V).max(axis=1, initial=0))
-    scaled = V * factor[:, None]
+    scaled, factor = normal_rows(times(np.frombuffer(content).reshape(shape), units.state))
     scaled.setflags(write=False)
     return scaled, factor
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..loop import input_message
 from ..rational import binary, nearest
-from ..scaling import in_units
 from ..units import own_units
 from . import cells, exact, milp
 
@@ -51,7 +50,7 @@ def violating_state(loop, U):
 
 @lru_cache(maxsize=128)
 def _inputs_in_units(units, U):
-    return in_units(U, units.inputs)
+    return U.in_units(units.inputs)
 
 
 @lru_cache(maxsize=128)
