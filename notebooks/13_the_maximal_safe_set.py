@@ -29,7 +29,7 @@ import numpy as np
 import mireach as mr
 from mireach import plotting
 from mireach.case_studies import data_file
-from mireach.engines import exact
+from mireach.engines import steps
 from mireach.planar import carried_out
 from mireach.seeds import load_rows
 
@@ -153,7 +153,7 @@ for name, region in {"the set": S, "with a bite of the corner": S | corner}.item
 
 # %%
 step = check.witness
-after = exact.successor(cases["pwa"].loop, step.state, step.mode, step.disturbance)
+after = steps.successor(cases["pwa"].loop, step.state, step.mode, step.disturbance)
 print("replayed in fractions, to the last digit:", after == step.after)
 print("x1 =", str(step.state[0])[:60], "...")
 

@@ -8,14 +8,17 @@ from tqdm.auto import tqdm
 
 from .approximation import prove_error
 from .checks import positive_number, real_array, require_kind, whole_number
+from .engines import exact
 from .engines.common import Witness
-from .errors import SolverStopped
+from .engines.inputs import violating_state
+from .engines.steps import Escape, farthest_step
 from .loop import ClosedLoop
 from .polytope import Polytope, box_directions, directions
-from .reach import RESOLUTION, default_engine, support
+from .rational import above, below, binary, dot, fractions, nearest, rational, strict_point
+from .reach import default_engine, support
+from .settle import CLEAR, EXACT, compare, standing, tolerance, weaker
 from .system import NonlinearSystem
-
-ATTAINED = 1e-9  # a witness refutes a facet only by more than this, for rounding of the replayed trajectory
+from .units import own_units
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +34,21 @@ class RPICheck:
         smaller than the distance that there is; the cells give that.
     witness : Witness or None
         A step that leaves F, where the verdict is "refuted"; no step but the state alone, where F has states
-        outside X.
+        outside X. Its state and disturbance lie in their sets as the floats that they are, and the step passes
+        the facet without rounding, unless F or D is so thin that no floats do.
     reason : str
+    settled : str
+        What the verdict rests on: "exact arithmetic", "rounding counted", or a tolerance in words.
+    escape : Escape or None
+        The step that leaves F in rational numbers, where the verdict is "refuted".
     """
 
     verdict: str
     margin: np.ndarray
     witness: Witness | None
     reason: str
+    settled: str = ""
+    escape: Escape | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +70,8 @@ class SafeSet:
     witness : Witness or None
         Where no set was found: a state of the last F_k, its input, mode and disturbance, whose image
         leaves X.
+    settled : str
+        As in `RPICheck`.
     """
 
     set: Polytope | None
@@ -68,6 +80,7 @@ class SafeSet:
     verdict: str
     reason: str
     witness: Witness | None
+    settled: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +109,9 @@ class TerminalSet:
     stable : bool
         Theorem 1's verdict at k = `steps`: alpha > 1.
     alphas : array (steps,)
-        alpha at k = 1, ..., `steps`.
+        alpha at k = 1, ..., `steps`, rounded down.
+    settled : str
+        What it rests on that F_max is RPI, and with it every set of the sequence, as in `RPICheck`.
     """
 
     set: Polytope
@@ -110,6 +125,7 @@ class TerminalSet:
     delta_max: float
     stable: bool
     alphas: np.ndarray
+    settled: str = ""
 
     @property
     def stable_steps(self):
@@ -153,10 +169,13 @@ class UltimateBound:
     ----------
     verdict : "proven" or "unknown"
     conditions : dict of str to bool
+    settled : str
+        What the steps of the loop rest on, as in `RPICheck`.
     """
 
     verdict: str
     conditions: dict
+    settled: str = ""
 
 
 def check_rpi(loop, F, engine=None, *, tol=None, **options):
@@ -169,45 +188,45 @@ def check_rpi(loop, F, engine=None, *, tol=None, **options):
     engine : str or None
         As in `support`.
     tol : float or None
-        A facet holds if bound <= h + tol, in units of h. None is what the engine resolves
-        (`reach.RESOLUTION`): 0 for the cells, whose bounds are rounded up already, and the accuracy of
-        a MILP solver for the others. "proven" is to within this; the margins show what is used of it.
+        A facet holds if bound <= h + tol, in units of h. None allows nothing for two states, where exact arithmetic
+        decides what rounding leaves in doubt, and what a MILP solver resolves for more (1e-6 of the size of X).
     **options
         Passed to the engine.
 
     Returns
     -------
     RPICheck
+
+    Raises
+    ------
+    ValueError
+        If F is empty, Phi leaves U, or an argument does not fit.
     """
     require_kind(loop, ClosedLoop, "loop")
     require_kind(F, Polytope, "F")
-    X = loop.system.state_set
-    engine = default_engine(loop) if engine is None else engine
-    tol = _tolerance(engine, tol)
-    if not F.is_subset(X, tol=ATTAINED):
-        row = int(np.argmax(F.support(X.H) - X.h))
-        return RPICheck(
-            "refuted",
-            np.full(len(F.h), -np.inf),
-            _standing(loop, F.farthest(X.H[row])),
-            f"F holds states outside the state set, beyond its row {row + 1}, where the loop has no successor",
-        )
-    try:
-        found, stopped = _at_most(loop, F, F.H, F.h, engine, options), ""
-    except SolverStopped as stop:
-        found, stopped = stop.support, f"; {stop}"
+    engine, tol = default_engine(loop) if engine is None else engine, tolerance(tol)
+    if F.is_empty:
+        raise ValueError("F is empty; there is nothing to check")
+    outside = _outside(loop, F)
+    if outside is not None:
+        return outside
+    options |= {"cutoff": F.h} if engine == "milp" else {}
+    found = compare(loop, F, F.H, F.h, engine, tol, **options)
+    escape = None if found.holds.all() else found.first_escape()
+    if escape is None and not found.holds.all():
+        found = compare(loop, F, F.H, F.h, engine, tol, thorough=True, **options)
     margin = F.h - found.bound
-    if (margin >= -tol).all():
-        within = "" if (margin >= 0).all() else f" to within {-margin.min():.1g}, which tol = {tol:g} allows"
-        return RPICheck("proven", margin, None, f"R1(F) lies in F{within}")
-    excess = found.value - F.h
-    worst = int(np.argmax(excess))
-    if excess[worst] > max(tol, ATTAINED):
-        witness = found.witness[worst]
-        return RPICheck("refuted", margin, witness, f"facet {worst + 1} is passed by {excess[worst]:.3g}: {witness}")
-    worst = int(np.argmin(margin))
-    gap = f"bound - h = {-margin[worst]:.3g}, attained - h = {excess[worst]:.3g}"
-    return RPICheck("unknown", margin, None, f"facet {worst + 1} is not settled: {gap}{stopped}")
+    if found.holds.all():
+        within = "" if (margin >= 0).all() else f" to within {-margin.min():.1g}"
+        return RPICheck("proven", margin, None, f"R1(F) lies in F{within}; {found.settled}", found.settled)
+    if escape is not None:
+        row, step, witness = escape
+        excess = dot(binary(F.H[row]), rational(step.after)) - binary(F.h[row])
+        reason = f"facet {row + 1} is passed by {nearest(excess):.3g}: {witness}{_hint(loop, F.H[row], excess)}"
+        return RPICheck("refuted", margin, witness, reason, EXACT, step)
+    worst = found.worst
+    gap = f"bound - h = {-margin[worst]:.3g}, attained - h = {found.found.value[worst] - F.h[worst]:.3g}"
+    return RPICheck("unknown", margin, None, f"facet {worst + 1} is not settled: {gap}{found.stopped}")
 
 
 def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progress=False, **options):
@@ -239,39 +258,42 @@ def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progres
     of R_1(F_k) in F_k follows by monotonicity: F_k in F_(k-1) gives R_1(F_k) in R_1-bar(F_(k-1)).
     """
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
-    engine = default_engine(loop) if engine is None else engine
-    tol, X = _tolerance(engine, tol), loop.system.state_set
-    V = _with_rows(_template(loop, C), X.H)
-    limit = _offsets(X, V)
-    h, history, image = X.support(V), [X], None
+    V = _with_rows(_template(loop, C), loop.system.state_set.H)
+    engine, tol, X = default_engine(loop) if engine is None else engine, tolerance(tol), loop.system.state_set
+    limit, weights = _offsets(X, V), own_units(loop).rows(V)[1]
+    h, history, image = X.bound(V), [X], None
     with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
         for k in range(max_iterations + 1):
-            try:
-                image = support(loop, history[-1], V, engine=engine, **_reused(engine, image), **options)
-            except SolverStopped as stop:
-                return SafeSet(None, k, history, "unknown", str(stop), None)
-            worst = int(np.argmax(image.bound - limit))
-            if image.bound[worst] <= limit[worst] + tol:
-                return SafeSet(history[-1], k, history, "proven", f"R1(F{k}) lies in X, so F{k} is RPI", None)
-            attained = image.value[worst] > limit[worst] + max(tol, ATTAINED)
-            smaller = np.minimum(image.bound, h)
+            found = compare(loop, history[-1], V, limit, engine, tol, **_reused(engine, image), **options)
+            if found.stopped:
+                return SafeSet(None, k, history, "unknown", found.stopped.removeprefix("; "), None)
+            if found.holds.all():
+                reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
+                return SafeSet(history[-1], k, history, "proven", reason, None, found.settled)
+            image, smaller = found.found, np.minimum(found.bound, h)
             following = Polytope(V, smaller)
-            rests = (smaller >= h - tol).all()
+            rests = (smaller >= h - (image.resolution if tol is None else tol)).all()
             if rests or following.is_empty or k == max_iterations:
                 break
             h, history = smaller, [*history, following]
             bar.update()
-    witness = image.witness[worst]
-    leaves = f"R1(F{k}) leaves X by {image.bound[worst] - limit[worst]:.3g}: {witness}"
+    escape, worst = found.first_escape(), found.worst
+    excess, witness = (found.bound - limit)[worst], image.witness[worst]
+    if escape is not None:
+        worst, step, witness = escape
+        exact_excess = dot(binary(V[worst]), rational(step.after)) - binary(limit[worst])
+        excess, hint = nearest(exact_excess), _hint(loop, V[worst], exact_excess)
+    leaves = f"R1(F{k}) leaves X by {excess:.3g}: {witness}{hint if escape is not None else ''}"
     if rests:
         still = (smaller >= h).all()
-        verdict = "refuted" if attained and still else "unknown"
-        reason = f"F{k + 1} = F{k}{'' if still else f' to within {tol:g}'}, yet {leaves}"
+        verdict = "refuted" if escape is not None and still else "unknown"
+        within = "" if still else f" to within {((h - smaller) * weights).max():.1g} of the size of X"
+        reason = f"F{k + 1} = F{k}{within}, yet {leaves}"
     elif following.is_empty:
         verdict, reason = "refuted", f"F{k + 1} is empty: {leaves}"
     else:
         verdict, reason = "unknown", f"max_iterations = {max_iterations} came first; {leaves}"
-    return SafeSet(None, k, history, verdict, reason, witness)
+    return SafeSet(None, k, history, verdict, reason, witness, EXACT if verdict == "refuted" else "")
 
 
 def terminal_set(
@@ -323,41 +345,37 @@ def terminal_set(
     S lies in R_j-bar(F_max) for all j, so the limit is within R_k-bar, and R_k-bar within
     c + (1 + epsilon) (limit - c). What S must lie in is taken from attained values, not from bounds.
     """
-    F = _proven_set(loop, safe, engine, options)
+    F = _set_to_start_from(safe)
     epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
-    engine = default_engine(loop) if engine is None else engine
-    tol = _tolerance(engine, tol)
-    c = _centre(loop, centre)
+    engine, tol, c = default_engine(loop) if engine is None else engine, tolerance(tol), _centre(loop, centre)
     V = _with_rows(_template(loop, C), F.H)
-    history, alphas = [F], []
-    image = support(loop, F, V, engine=engine, **options)
-    h, after = F.support(V), image.bound
-    _require_own(after - h, tol)
+    found = _require_rpi(loop, F, V, engine, tol, options)
+    history, alphas, image, h, after = [F], [], found.found, F.bound(V), found.bound
+    still = image.resolution if tol is None else tol
     criterion = stagnant = False
     with tqdm(total=max_steps, desc="terminal set", disable=not progress) as bar:
         while not (criterion or stagnant) and len(alphas) < max_steps:
             smaller = np.minimum(after, h)
             R = Polytope(V, smaller)
-            stagnant, still = (smaller >= h - tol).all(), (smaller >= h).all()
-            reach = R.support(V)
-            alphas.append(_growth(R, reach, h, c))
+            stagnant, same = (smaller >= h - still).all(), (smaller >= h).all()
+            alphas.append(_growth(R, h, c))
             h, history = smaller, [*history, R]
             image = support(loop, R, V, engine=engine, **_reused(engine, image), **options)
             after = image.bound
-            criterion = _is_near_limit(loop, R, reach, after, V, epsilon, c, engine, options)
+            criterion = _is_near_limit(loop, R, after, V, epsilon, c, engine, options)
             bar.update()
     k = len(alphas)
     if criterion:
         reason = f"eq. TerminationFmin holds at k = {k}"
     elif stagnant:
-        same = f"R{k} = R{k - 1}" if still else f"R{k} = R{k - 1} to within {tol:g}"
-        reason = f"stagnation: {same}, but eq. TerminationFmin about {c.tolist()} fails"
-        reason += ", and always will" if still else ""
+        rest = f"R{k} = R{k - 1}{'' if same else ' to within what the engine resolves'}"
+        reason = f"stagnation: {rest}, but eq. TerminationFmin about {c.tolist()} fails"
+        reason += ", and always will" if same else ""
         if isinstance(centre, str) and centre == "origin":
             reason += '; try centre="equilibrium"'
     else:
         reason = f"max_steps = {max_steps} came first"
-    alpha, inner_radius = alphas[-1], ((np.minimum(reach, R.h) - V @ c) / np.linalg.norm(V, axis=1)).min()
+    alpha, inner_radius = alphas[-1], ((R.bound(V) - V @ c) / np.linalg.norm(V, axis=1)).min()
     return TerminalSet(
         R,
         k,
@@ -370,6 +388,7 @@ def terminal_set(
         (alpha - 1) * inner_radius,
         bool(alpha > 1),
         np.array(alphas),
+        found.settled,
     )
 
 
@@ -404,7 +423,7 @@ def contraction(loop, R, centre="origin", engine=None, *, largest=2.0, accuracy=
         return np.nan
 
     def holds(alpha):
-        grown = R.scale(alpha, c)
+        grown = _scaled(R, alpha, c)
         return grown.is_subset(X) and (_at_most(loop, grown, R.H, R.h, engine, options).bound <= R.h).all()
 
     low, high = 1.0, largest
@@ -444,26 +463,28 @@ def scaled_minimal_set(
     """
     epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
     engine = default_engine(loop) if engine is None else engine
-    resolution = max(_tolerance(engine, tol), ATTAINED)
     c, V, X = _centre(loop, centre), _template(loop, C), loop.system.state_set
+    if not X.contains(c):
+        raise ValueError(f"the sequence starts from {c.tolist()}, which lies outside X; give a centre in X")
     history, found, reason = [Polytope.box(c, c)], None, f"max_steps = {max_steps} came first"
-    h = V @ c
+    h, weights = V @ c, own_units(loop).rows(V)[1]
     for k in range(1, max_steps + 1):
         after = support(loop, history[-1], V, engine=engine, **options).bound
         history.append(Polytope(V, after))
-        candidate = history[-1].scale(1 + epsilon, c)
+        candidate = _scaled(history[-1], 1 + epsilon, c)
         if not history[-1].is_subset(X):
             reason = f"R{k} leaves the state set"
             break
-        if candidate.is_subset(X) and check_rpi(loop, candidate, engine, tol=tol, **options).verdict == "proven":
+        check = check_rpi(loop, candidate, engine, tol=tol, **options)
+        if check.verdict == "proven":
             found, reason = candidate, f"(1 + epsilon) R{k} is RPI"
             break
-        if np.abs(after - h).max() <= resolution:
-            reason = f"stagnation: R{k} = R{k - 1}, but scaled by 1 + epsilon it is not RPI"
+        if (np.abs(after - h) * weights).max() <= CLEAR:
+            reason = f"stagnation: R{k} = R{k - 1}, but scaled by 1 + epsilon it is not RPI: {check.reason}"
             break
         h = after
     reached_at = (
-        None if found is None or safe is None else _steps_into(loop, safe, found, V, engine, max_steps, options)
+        None if found is None or safe is None else _steps_into(loop, safe, found, V, engine, tol, max_steps, options)
     )
     return MinimalSet(found, k, history, "unknown" if found is None else "proven", reached_at, reason)
 
@@ -495,24 +516,25 @@ def ultimately_bounded(plant, loop, safe, terminal, engine=None, **options):
         (prove_error(plant.f, [mode], X, U, mode.disturbance.H).bound[0] <= mode.disturbance.h).all()
         for mode in loop.system.modes
     )
+    sets = [safe.set, *terminal.history[1:]] if safe.verdict == "proven" else []
+    steps = [_images_within(loop, F, G, engine, options) for F, G in zip([*sets[:1], *sets], sets)]
     conditions = {
         "f - f_PWA lies in D for every mode": bool(within),
-        "F_max is RPI": safe.verdict == "proven" and _holds_images(loop, [safe.set, safe.set], engine, options),
-        "F_max lies in the plant's X": safe.set is not None and safe.set.is_subset(plant.state_set, ATTAINED),
-        "the terminal set is reached from F_max": safe.set is not None
-        and terminal.history[0] is safe.set
-        and _holds_images(loop, terminal.history, engine, options),
+        "Phi lies in the plant's U": U.is_subset(plant.input_set) or violating_state(loop, plant.input_set) is None,
+        "F_max is RPI": bool(steps) and steps[0].holds.all() and safe.set.is_subset(X),
+        "F_max lies in the plant's X": bool(sets) and safe.set.is_subset(plant.state_set),
+        "the terminal set is reached from F_max": bool(sets)
+        and _same(terminal.history[0], safe.set)
+        and all(step.holds.all() for step in steps)
+        and all(after.is_subset(before) for before, after in pairwise(sets)),
         "the terminal set has the origin inside": bool((terminal.set.h > 0).all()),
     }
-    return UltimateBound("proven" if all(conditions.values()) else "unknown", conditions)
+    conditions = {name: bool(holds) for name, holds in conditions.items()}
+    verdict = "proven" if all(conditions.values()) else "unknown"
+    return UltimateBound(verdict, conditions, weaker(*(step.settled for step in steps)) if verdict == "proven" else "")
 
 
 # -- parts --------------------------------------------------------------------------------------------
-
-
-def _tolerance(engine, tol):
-    """The tolerance of a comparison: what the engine resolves, or `tol`."""
-    return RESOLUTION.get(engine, 0.0) if tol is None else float(real_array(tol, "tol", 0))
 
 
 def _reused(engine, before):
@@ -520,30 +542,48 @@ def _reused(engine, before):
     return {"known": before} if engine in ("cells", "milp") and before is not None else {}
 
 
-def _require_own(excess, tol):
-    """Raise ValueError if R_1(F_max) leaves F_max by more than any engine's inaccuracy: F_max of another loop."""
-    if excess.max() > max(tol, *RESOLUTION.values()):
-        raise ValueError(f"the set to start from is not RPI for this loop: a step leaves it by {excess.max():.3g}")
+def _outside(loop, F):
+    """A refuted RPICheck if F has a state outside X, or None."""
+    X = loop.system.state_set
+    if F.is_subset(X):
+        return None
+    for row, (a, b) in enumerate(zip(X.H, X.h)):
+        x = F.exact_maximum(a)
+        if x.value > binary(b):
+            state = x.point or strict_point(binary(F.H), binary(F.h), [tuple(-e for e in binary(a))], [-binary(b)])
+            reason = (
+                f"F holds states outside the state set, beyond its row {row + 1}, where the loop has no successor"
+                f"{'' if x.point is None else _hint(loop, a, x.value - binary(b))}"
+            )
+            floats = np.array([nearest(entry) for entry in state])
+            nothing = np.full(len(F.h), -np.inf)
+            return RPICheck("refuted", nothing, standing(loop, floats), reason, EXACT, Escape(fractions(state)))
+    return None
 
 
-def _holds_images(loop, sets, engine, options):
-    """Whether R_1 of each set lies in the next, to within what engines differ by."""
-    tol = max(RESOLUTION.values())
-    return all((_at_most(loop, F, G.H, G.h, engine, options).bound <= G.h + tol).all() for F, G in pairwise(sets))
+def _hint(loop, v, excess):
+    """What to add to a message where a limit is passed by no more than the rounding of decimals to floats."""
+    weight = own_units(loop).rows(np.asarray(v, float)[None])[1][0]
+    if abs(nearest(excess)) * weight > CLEAR:
+        return ""
+    return "; this is as little as the rounding of a decimal: every number counts as the float that it is"
+
+
+def _images_within(loop, F, G, engine, options):
+    """The Comparison of R_1(F) with the rows of G."""
+    limits = {"cutoff": G.h} if engine == "milp" or (engine is None and default_engine(loop) == "milp") else {}
+    return compare(loop, F, G.H, G.h, engine, **limits, **options)
+
+
+def _same(P, Q):
+    """Whether two polytopes have the same rows."""
+    return np.array_equal(P.H, Q.H) and np.array_equal(P.h, Q.h)
 
 
 def _at_most(loop, F, V, limit, engine, options):
     """`support` where only "is it at most `limit`?" is asked: the MILP then settles most rows without an optimum."""
     only = {"cutoff": limit} if engine == "milp" or (engine is None and default_engine(loop) == "milp") else {}
     return support(loop, F, V, engine=engine, **only, **options)
-
-
-def _standing(loop, x):
-    """A trajectory of no steps at x; None if there is no x."""
-    if x is None:
-        return None
-    n, m = loop.system.state_size, loop.system.input_size
-    return Witness(x[None], np.zeros((0, m)), np.zeros(0, int), np.zeros((0, n)))
 
 
 def _template(loop, C):
@@ -574,19 +614,25 @@ def _offsets(P, V):
     return np.array([known.get(row.tobytes(), np.inf) for row in V])
 
 
-def _proven_set(loop, safe, engine, options):
-    """The Polytope of a proven SafeSet, or one that `check_rpi` proves."""
-    if isinstance(safe, SafeSet):
-        if safe.verdict != "proven":
-            raise ValueError(f"there is no safe set to start from: {safe.reason}")
-        return safe.set
+def _set_to_start_from(safe):
+    """The Polytope of a SafeSet, or the Polytope itself."""
     require_kind(safe, (SafeSet, Polytope), "safe")
-    if safe.is_empty:
+    if isinstance(safe, SafeSet) and safe.verdict != "proven":
+        raise ValueError(f"there is no safe set to start from: {safe.reason}")
+    F = safe.set if isinstance(safe, SafeSet) else safe
+    if F.is_empty:
         raise ValueError("the set to start from is empty")
-    check = check_rpi(loop, safe, engine, **options)
-    if check.verdict != "proven":
-        raise ValueError(f"the set to start from is not shown to be RPI: {check.reason}")
-    return safe
+    return F
+
+
+def _require_rpi(loop, F, V, engine, tol, options):
+    """The Comparison of R_1(F) with the rows of F among V; ValueError unless F lies in X and is RPI for this loop."""
+    outside = _outside(loop, F)
+    found = None if outside is not None else compare(loop, F, V, _offsets(F, V), engine, tol, **options)
+    if found is None or not found.holds.all():
+        reason = outside.reason if found is None else check_rpi(loop, F, engine, tol=tol, **options).reason
+        raise ValueError(f"the set to start from is not shown to be RPI for this loop: {reason}")
+    return found
 
 
 def _centre(loop, centre):
@@ -603,41 +649,60 @@ def _centre(loop, centre):
     return c
 
 
-def _growth(R, reach, h_before, c):
-    """Largest alpha with alpha (R - c) in R_before - c, where R_before has the rows of R and the offsets h_before.
+def _growth(R, before, c):
+    """Largest alpha with alpha (R - c) in R_before - c, rounded down; R_before has the rows of R, offsets `before`."""
+    c, shares = binary(c), []
+    for a, limit, reach in zip(binary(R.H), binary(before), binary(R.bound(R.H))):
+        middle = dot(a, c)
+        if reach <= middle:
+            return np.nan
+        shares.append((limit - middle) / (reach - middle))
+    return below(min(shares))
 
-    `reach` is h of R along its rows.
-    """
-    # R.h where the row is a facet: the support is rounded, and alpha = 1 + 1e-16 would be a false proof
-    reach = np.minimum(reach + ATTAINED * np.linalg.norm(R.H, axis=1), R.h) - R.H @ c
-    if (reach <= 0).any():
-        return np.nan
-    return float(((h_before - R.H @ c) / reach).min())
+
+def _scaled(R, s, c):
+    """c + s (R - c), its offsets rounded upward."""
+    s, centre = binary(s), binary(c)
+    offsets = [above(s * b + (1 - s) * dot(a, centre)) for a, b in zip(binary(R.H), binary(R.h))]
+    return Polytope(R.H, offsets)
 
 
-def _is_near_limit(loop, R, reach, after, V, epsilon, c, engine, options):
+def _is_near_limit(loop, R, after, V, epsilon, c, engine, options):
     """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
 
-    `reach` is h of R along V, and `after` a bound on that of R_1(R).
+    `after` is a bound on h of R_1(R) along V. What S must lie in is attained by steps in rational numbers.
     """
     if not R.contains(c):
         return False
-    if ((reach + epsilon * (V @ c)) / (1 + epsilon) > after).any():  # S is not even in R_1-bar(R)
+    S = _scaled(R, 1 / (1 + epsilon), c)
+    reach = S.bound(V)
+    if (reach > after).any():  # S is not even in R_1-bar(R)
         return False
-    S = R.scale(1 / (1 + epsilon), c)
-    return bool((S.support(V) <= support(loop, S, V, engine=engine, **options).value).all())
+    found = support(loop, S, V, engine=engine, **options)
+    return bool((reach <= found.value).all()) and all(
+        _attains(loop, S, v, b, w) for v, b, w in zip(V, reach, found.witness)
+    )
 
 
-def _steps_into(loop, safe, target, V, engine, max_steps, options):
+def _attains(loop, S, v, limit, witness):
+    """Whether a step from S reaches the limit along v, without rounding."""
+    step = farthest_step(loop, S, v, witness.states[0], int(witness.modes[0]))
+    if step is None and loop.system.state_size == 2:
+        step = exact.farthest_steps(loop, S, v[None])[0]
+    return step is not None and step.value >= binary(limit)
+
+
+def _steps_into(loop, safe, target, V, engine, tol, max_steps, options):
     """First j with R_j-bar(F_max) in the target, or None."""
-    F = _proven_set(loop, safe, engine, options)
+    F = _set_to_start_from(safe)
     V = _with_rows(V, F.H)
-    R = F
+    _require_rpi(loop, F, V, engine, tol, options)
+    R, weights = F, own_units(loop).rows(V)[1]
     for j in range(max_steps + 1):
         if R.is_subset(target):
             return j
-        after = np.minimum(support(loop, R, V, engine=engine, **options).bound, R.support(V))
-        if j and (after >= R.h - ATTAINED).all():
+        after = np.minimum(support(loop, R, V, engine=engine, **options).bound, R.bound(V))
+        if j and ((R.h - after) * weights <= CLEAR).all():
             return None
         R = Polytope(V, after)
     return None

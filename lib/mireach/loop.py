@@ -1,6 +1,7 @@
 """The closed loop x+ = f_PWA(x, Phi(x)) + d (eq. CLSystem of [Teichrib2025])."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -8,7 +9,9 @@ from .checks import real_array, require_columns, require_kind, whole_number
 from .network import MaxoutNetwork
 from .system import PWASystem
 
-OUTSIDE = 1e-7  # a state this far from every region counts as outside X (units of x and u)
+OUTSIDE = 1e-7  # a state this far outside of X counts as outside (relative to the size of X)
+AT_REST = 1e-11  # a step that moves a state by less leaves it where it is (relative to the size of X)
+ROUNDING = 1e-9  # by which Phi may leave U at a state that is tried (relative to the terms of the row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,7 @@ class ClosedLoop:
             raise ValueError(f"the network has {net.input_size} inputs, but x has {system.state_size} entries")
         if net.output_size != system.input_size:
             raise ValueError(f"the network has {net.output_size} outputs, but u has {system.input_size} entries")
-        require_inputs(net, system.input_set, system.state_set.sample(np.random.default_rng(0), 200))
+        _require_inputs(net, system.input_set, system.state_set.sample(np.random.default_rng(0), 200))
 
     def with_disturbance(self, disturbance):
         """The same loop with other disturbance sets (one Polytope, or one a mode)."""
@@ -150,7 +153,7 @@ class ClosedLoop:
         for x in starts:
             pieces = set()
             while not self._outside(x[None])[0]:
-                if np.abs(self.step(x) - x).max() < 1e-11 * (1 + np.abs(x).max()):
+                if (np.abs(self.step(x) - x) <= AT_REST * self._size).all():
                     return x
                 mode = self.system.modes[self._advance(x[None])[1][0]]
                 K, g = self.network.affine_piece(x)
@@ -166,8 +169,15 @@ class ClosedLoop:
             f"{path[-1].tolist()} after {steps} steps and may circle; give the centre as a point"
         )
 
+    @cached_property
+    def _size(self):
+        """Largest |x| over X, by component: (n,)."""
+        return np.abs(self.system.state_set.bounding_box()).max(axis=0)
+
     def _outside(self, x):
-        return ~(np.isfinite(x).all(axis=-1) & self.system.state_set.contains(np.nan_to_num(x), tol=OUTSIDE))
+        X = self.system.state_set
+        slack = OUTSIDE * (np.abs(X.H) @ self._size)
+        return ~(np.isfinite(x).all(axis=-1) & X.contains(np.nan_to_num(x), tol=slack))
 
     def _advance(self, x):
         """Nominal successors of states (N, n), and the mode of each: the first whose region contains (x, Phi(x)).
@@ -189,13 +199,19 @@ class ClosedLoop:
         return d
 
 
-def require_inputs(network, input_set, states, tol=1e-9):
-    """Raise ValueError if Phi leaves U at one of `states` (N, n); `tol` in units of u, for rounding."""
+def _require_inputs(network, input_set, states):
+    """Raise ValueError if Phi leaves U at one of `states` (N, n) by more than rounding."""
     inputs = network(states)
-    excess = (inputs @ input_set.H.T - input_set.h).max(axis=-1)
-    worst = int(np.argmax(excess))
-    if excess[worst] > tol:
-        raise ValueError(
-            f"the network leaves the input set by {excess[worst]:.3g}: at x = {states[worst].tolist()} it gives "
-            f"u = {inputs[worst].tolist()}; use network.saturate(lower, upper)"
-        )
+    excess = inputs @ input_set.H.T - input_set.h
+    beyond = excess - ROUNDING * (np.abs(inputs) @ np.abs(input_set.H).T + np.abs(input_set.h))
+    worst = int(np.argmax(beyond.max(axis=-1)))
+    if beyond[worst].max() > 0:
+        raise ValueError(input_message(excess[worst].max(), states[worst], inputs[worst]))
+
+
+def input_message(excess, x, u):
+    """What is said where Phi(x) = u leaves U."""
+    return (
+        f"the network leaves the input set by {excess:.3g}: at x = {x.tolist()} it gives u = {u.tolist()}; "
+        "use network.saturate(lower, upper)"
+    )

@@ -7,8 +7,12 @@ from importlib import import_module
 import numpy as np
 
 from .checks import real_array, require_columns, require_kind, whole_number
+from .engines.common import Support, checked_query
+from .engines.inputs import require_inputs
+from .errors import SolverStopped
 from .loop import ClosedLoop
 from .polytope import Polytope
+from .units import own_units
 
 ENGINES = {
     "cells": "cells",
@@ -21,7 +25,7 @@ RESOLUTION = {
     "milp": 1e-6,
     "exact": 0.0,
     "cvxpy": 1e-5,
-}  # what an engine's bound may lie above the truth, and ties with it
+}  # how far an engine's bound may lie above the truth, and tie with it (relative to the size of X)
 
 
 def default_engine(loop):
@@ -64,12 +68,24 @@ def support(loop, F, V, steps=1, engine=None, **options):
     if not isinstance(engine, str) or engine not in ENGINES:
         raise ValueError(f"engine must be one of {', '.join(ENGINES)}; got {engine!r}")
     answer = import_module(f"{__package__}.engines.{ENGINES[engine]}").support
-    known = inspect.signature(answer).parameters if options else {}
-    unknown = [name for name in options if name not in known]
-    if unknown and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values()):
-        own = ", ".join(list(known)[4:]) or "none"
+    accepted = inspect.signature(answer).parameters if options else {}
+    unknown = [name for name in options if name not in accepted]
+    if unknown and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in accepted.values()):
+        own = ", ".join(list(accepted)[4:]) or "none"
         raise ValueError(f"the engine {engine!r} has no option {', '.join(unknown)}; its options: {own}")
-    return answer(loop, F, V, steps, **options)
+    V, steps = checked_query(loop, F, V, steps)
+    require_inputs(loop)
+    units = own_units(loop)
+    rows, factor = units.rows(V)
+    for name in ("known", "cutoff"):
+        if options.get(name) is not None:
+            given = options[name]
+            options[name] = given.source if isinstance(given, Support) else np.asarray(given, float) * factor
+    resolution = RESOLUTION[engine]
+    try:
+        return units.support(answer(units.loop, units.polytope(F), rows, steps, **options), factor, resolution)
+    except SolverStopped as stop:
+        raise units.stopped(stop, factor, resolution) from stop
 
 
 def outer_step(loop, F, C, engine=None, **options):
@@ -123,7 +139,7 @@ def outer_reach(loop, F, C, steps, engine=None, **options):
     require_kind(F, Polytope, "F")
     sets = [F]
     for k in range(whole_number(steps, "steps", 0)):
-        if not sets[-1].is_subset(loop.system.state_set, tol=1e-9):
+        if not sets[-1].is_subset(loop.system.state_set):
             warnings.warn(f"R{k} leaves the state set; later sets describe only what stays in it", stacklevel=2)
         sets.append(outer_step(loop, sets[-1], C, engine, **options))
     return sets

@@ -9,8 +9,11 @@ import numpy as np
 
 from .checks import real_array, require_columns, require_kind
 from .polytope import Polytope
+from .rational import binary, dot, nearest, strict_point
+from .scaling import in_units, reach_of
 
-GAP = 1e-7  # radius of the smallest ball that counts as a gap or an overlap of regions (units of x and u)
+OVERLAP = 1e-7  # radius of the smallest ball that counts as an overlap of regions (relative to the size of X and U)
+OPPOSITE = 1e-6  # rows whose unit normals add up to less than this name the same boundary from both sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class Mode:
     Raises
     ------
     ValueError
-        If sizes do not match, or the disturbance set is empty or unbounded.
+        If sizes do not match, a row of the region says 0 <= -1, or the disturbance set is empty or unbounded.
     """
 
     A: np.ndarray
@@ -52,6 +55,10 @@ class Mode:
             object.__setattr__(self, "disturbance", Polytope.box(np.zeros(n), np.zeros(n)))
         require_kind(self.region, Polytope, "region")
         require_kind(self.disturbance, Polytope, "disturbance")
+        impossible = ~self.region.H.any(axis=1) & (self.region.h < 0)
+        if impossible.any():
+            row = int(np.argmax(impossible))
+            raise ValueError(f"row {row + 1} of region says 0 <= {self.region.h[row]:g}, which holds nowhere")
         if self.region.dimension != n + self.B.shape[1]:
             raise ValueError(
                 f"region lies in R^{self.region.dimension}, but (x, u) has {n} + {self.B.shape[1]} entries; "
@@ -77,7 +84,8 @@ class PWASystem:
     ----------
     modes : sequence of Mode
         Closed regions that cover X x U; they may share boundaries, and there every mode that contains
-        the point counts.
+        the point counts. That they leave no gap is decided without rounding, each number being the float
+        that it is: write a boundary as a x <= b in one region and as -a x <= -b, the same numbers, in the other.
     state_set : Polytope
         X in R^n.
     input_set : Polytope
@@ -259,8 +267,10 @@ class NonlinearSystem:
 @lru_cache(maxsize=64)
 def _check_partition(regions, state_set, input_set):
     """Raise ValueError unless the regions cover X x U without overlap (the text after eq. HRep)."""
-    domain, n = state_set.product(input_set), state_set.dimension
-    parts = [domain & region for region in regions]
+    scale = np.concatenate([reach_of(state_set), reach_of(input_set)])
+    domain, n = in_units(state_set.product(input_set), scale), state_set.dimension
+    scaled = [in_units(region, scale) for region in regions]
+    parts = [domain & region for region in scaled]
     for number, part in enumerate(parts, start=1):
         if part.is_empty:
             warnings.warn(f"the region of mode {number} does not meet X x U; the mode is never used", stacklevel=4)
@@ -270,38 +280,120 @@ def _check_partition(regions, state_set, input_set):
             if (
                 first is None
                 or second is None
-                or (np.minimum(first[1], second[1]) - np.maximum(first[0], second[0])).min() <= GAP
+                or (np.minimum(first[1], second[1]) - np.maximum(first[0], second[0])).min() <= OVERLAP
             ):
                 continue
             centre, radius = (parts[i] & parts[j]).chebyshev()
-            if radius > GAP:
+            if radius > OVERLAP:
                 raise ValueError(
-                    f"the regions of modes {i + 1} and {j + 1} overlap around {_point(centre, n)} "
-                    f"(a ball of radius {radius:.3g}); regions may share boundaries only"
+                    f"the regions of modes {i + 1} and {j + 1} overlap around {_point(centre * scale, n)} "
+                    f"(a ball of radius {radius:.3g} of the size of X x U); regions may share boundaries only"
                 )
-    gap = _uncovered(domain, regions)
+    gap = _Rows().cut(domain, scaled)
     if gap is not None:
-        raise ValueError(f"no region contains {_point(gap, n)}, which lies in X x U; the regions must cover all of it")
+        point = np.array([nearest(entry) for entry in gap])
+        raise ValueError(
+            f"no region contains {_point(point * scale, n)}, which lies in X x U; the regions must cover all of it"
+            f"{_between(gap, scaled)}"
+        )
 
 
-def _uncovered(P, regions):
-    """A point of P with a ball around it that no region covers, or None (set difference, row by row)."""
-    centre, radius = P.chebyshev()
-    if radius <= GAP:
-        return None
-    for number, region in enumerate(regions):
-        if (P & region).chebyshev()[1] <= GAP:
-            continue
-        inside = P
-        for row, offset in zip(region.H, region.h):
-            gap = _uncovered(inside & Polytope(-row[None], [-offset]), regions[number + 1 :])
-            if gap is not None:
-                return gap
-            inside = inside & Polytope(row[None], [offset])
-        return None
-    return centre
+class _Rows:
+    """Half-planes a z <= b, some of them a z < b, in rational numbers; rows of one direction are kept once.
+
+    Attributes
+    ----------
+    limits : dict
+        Direction, scaled to a first entry of 1 or -1, to (offset, whether it is strict).
+    point : tuple of fmpq or None
+        A point of all of them, where one is known.
+    """
+
+    def __init__(self, limits=None, point=None):
+        self.limits, self.point = limits or {}, point
+
+    def cut(self, domain, regions):
+        """A point of the domain that no region contains, or None."""
+        inside = self
+        for a, b in zip(binary(domain.H), binary(domain.h)):
+            inside = inside and inside.with_row(a, b)
+        return inside and inside.without([list(zip(binary(P.H), binary(P.h))) for P in regions])
+
+    def with_row(self, a, b, strict=False):
+        """These rows and a z <= b, or a z < b; None where another row contradicts it."""
+        size = abs(next((entry for entry in a if entry), 1))
+        if not any(a):
+            return self if b >= 0 else None
+        key, limit = tuple(entry / size for entry in a), (b / size, not strict)
+        limits = {**self.limits, key: min(limit, self.limits.get(key, limit))}
+        offset, closed = limits[key]
+        opposite = limits.get(tuple(-entry for entry in key))
+        if opposite is not None and (offset + opposite[0], closed and opposite[1]) <= (0, False):
+            return None
+        known = self.point
+        if known is not None and not (dot(a, known) < b or (dot(a, known) == b and not strict)):
+            known = None
+        return _Rows(limits, known)
+
+    def located(self):
+        """These rows with a point, or None if they have none in common."""
+        if self.point is None:
+            rows = [[], []], [[], []]
+            for a, (b, closed) in self.limits.items():
+                H, h = rows[0] if closed else rows[1]
+                H.append(a)
+                h.append(b)
+            self.point = strict_point(*rows[0], *rows[1])
+        return None if self.point is None else self
+
+    def without(self, regions):
+        """A point of these rows that lies in no region, or None: beyond a region's first row, or its second, ..."""
+        if self.located() is None:
+            return None
+        for number, region in enumerate(regions):
+            inside = self
+            for a, b in region:
+                inside = inside and inside.with_row(a, b)
+            if inside is None or inside.located() is None:
+                continue
+            inside = self
+            for a, b in region:
+                beyond = inside.with_row(tuple(-entry for entry in a), -b, strict=True)
+                gap = None if beyond is None else beyond.without(regions[number + 1 :])
+                if gap is not None:
+                    return gap
+                inside = inside.with_row(a, b)
+                if inside is None:
+                    return None
+            return None
+        return self.point
+
+
+def _between(point, regions):
+    """Which two rows leave a point between them that should name the same boundary, as the end of a message."""
+    outside = []
+    for number, region in enumerate(regions, start=1):
+        for row, (a, b) in enumerate(zip(binary(region.H), binary(region.h))):
+            excess = dot(a, point) - b
+            if excess > 0:
+                length = np.linalg.norm(region.H[row])
+                outside.append((number, row + 1, region.H[row] / length, nearest(excess) / length))
+    pairs = [
+        (one[3] + other[3], one, other)
+        for i, one in enumerate(outside)
+        for other in outside[:i]
+        if one[0] != other[0] and np.abs(one[2] + other[2]).max() <= OPPOSITE
+    ]
+    if not pairs:
+        return ""
+    width, one, other = min(pairs, key=lambda pair: pair[0])
+    return (
+        f". It lies between row {other[1]} of mode {other[0]} and row {one[1]} of mode {one[0]}, in a gap of width "
+        f"{width:.2g} of the size of X x U; if they are to name the same boundary, write it with the same numbers, as "
+        "a x <= b and -a x <= -b"
+    )
 
 
 def _point(point, n):
     """x and u of a point of R^(n+m), for messages."""
-    return f"x = {np.round(point[:n], 6).tolist()}, u = {np.round(point[n:], 6).tolist()}"
+    return f"x = {point[:n].tolist()}, u = {point[n:].tolist()}"

@@ -8,7 +8,7 @@ import shapely
 from loops import affine_loop, assert_escapes, brute_support, exact_input, exactly_inside, jump_loop, random_loop
 
 import mireach as mr
-from mireach.engines import cells, exact
+from mireach.engines import cells, exact, steps
 from mireach.rational import binary
 
 SHRUNK = 0.7  # F of the random questions, as a share of X
@@ -48,7 +48,7 @@ def test_cells_hold_every_state_with_the_step_that_fractions_give(seed):
             holding = [cell for cell in found if cell.mode == number and holds(cell, point)]
             assert bool(holding) == inside
             for cell in holding:
-                after = exact.successor(loop, point, number, (0, 0))
+                after = steps.successor(loop, point, number, (0, 0))
                 assert tuple(as_fraction(value) for value in cell.image(binary(x))) == after
 
 
@@ -64,7 +64,7 @@ def holds(cell, x):
 def test_every_number_is_the_float_that_it_is():
     loop = affine_loop(0.1 * np.eye(2), square(0.1), limits=0.3)
     expected = Fraction(0.1) + Fraction(1, 10), 2 * Fraction(0.1)
-    assert exact.successor(loop, (1, 2), 0, (Fraction(1, 10), 0)) == expected
+    assert steps.successor(loop, (1, 2), 0, (Fraction(1, 10), 0)) == expected
 
 
 def test_a_set_that_fits_without_any_margin_is_proven_and_one_ulp_more_is_refuted():
@@ -163,7 +163,7 @@ def test_a_segment_that_is_cut_stays_a_segment(side):
 def test_a_witness_leaves_flat_parts_as_well():
     loop = affine_loop(0 * np.eye(2), square(0.25))
     step = mr.prove_rpi(loop, mr.Region.of(np.zeros((1, 2)))).witness
-    assert step.after != (0, 0) and step.after == exact.successor(loop, step.state, step.mode, step.disturbance)
+    assert step.after != (0, 0) and step.after == steps.successor(loop, step.state, step.mode, step.disturbance)
 
 
 def test_a_set_that_ends_just_short_of_a_jump_is_not_refuted_by_it():

@@ -13,7 +13,6 @@ from math import inf, nextafter
 import numpy as np
 
 from ..compiled import affine_pieces, highest, parts, sharp_pairs
-from ..loop import require_inputs
 from ..lp import LinearProgram
 from ..polygons import Polygons
 from ..polytope import Polytope, box_directions
@@ -185,8 +184,7 @@ def cells(loop):
     Raises
     ------
     ValueError
-        If the loop has not two states, or Phi leaves U somewhere in X (checked at every vertex, which
-        for an affine piece decides it).
+        If the loop has not two states.
     """
     return dynamics(loop).cells
 
@@ -203,7 +201,7 @@ def dynamics(loop):
     if loop.system.state_size != 2:
         raise ValueError(f'the cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
     system = loop.system
-    found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set, system.input_set)
+    found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set)
     A, B, p = (maps[found.mode] for maps in system.maps)
     M, c = A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p
     known = {mode.disturbance: _corners(mode.disturbance) for mode in system.modes}
@@ -299,11 +297,14 @@ def support(loop, F, V, steps=1, *, known=None):
 
 
 @lru_cache(maxsize=128)
-def _cells(network, regions, state_set, input_set):
-    """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u).
+def _cells(network, regions, state_set):
+    """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u)."""
+    return _cut_by_inputs(_before_inputs(network, regions, state_set), regions)
 
-    Raises ValueError if the network leaves U at a vertex of them.
-    """
+
+@lru_cache(maxsize=128)
+def _before_inputs(network, regions, state_set):
+    """The Cells before they are cut by those rows of regions that involve u: they cover X for every mode."""
     domains, modes, walls = _domains(regions, state_set)
     size = _size(domains.points)
     layers = [(layer.weight, layer.bias, layer.pool) for layer in network.hidden] + [(network.weight, network.bias, 1)]
@@ -322,13 +323,37 @@ def _cells(network, regions, state_set, input_set):
     sizes, owner, cuts = shape.T
     polygons = Polygons(points, np.concatenate([[0], np.cumsum(sizes)]))
     K, g, error = np.split(values.reshape(len(values), -1, 4), [2, 3], axis=2)
-    found = Cells(polygons, modes[owner], K.copy(), g[..., 0].copy(), error[..., 0].copy(), cuts, walls)
-    found = _cut_by_inputs(found, regions)
+    return Cells(polygons, modes[owner], K.copy(), g[..., 0].copy(), error[..., 0].copy(), cuts, walls)
+
+
+def input_excess(network, regions, X, U):
+    """By how much Phi may leave U over X, in the units of U.h.
+
+    Parameters
+    ----------
+    network : MaxoutNetwork
+        With two inputs.
+    regions : tuple of Polytope
+    X, U : Polytope
+
+    Returns
+    -------
+    most : float
+        max U.H Phi(x) - U.h over all x of X and all rows is at most this, rounding counted.
+    excess : float
+        The largest value that was found, up to rounding.
+    x : array (2,)
+        Where it was found.
+    """
+    found = _before_inputs(network, regions, X)
     points, owner = found.polygons.points, found.polygons.owner
     inputs = np.einsum("tij,tj->ti", found.K[owner], points) + found.g[owner]
-    worst = np.argmax((inputs @ input_set.H.T - input_set.h).max(axis=1))
-    require_inputs(network, input_set, points[[worst]])
-    return found
+    excess = inputs @ U.H.T - U.h
+    extent = (np.abs(found.K).sum(axis=2) * found.size + np.abs(found.g)) @ np.abs(U.H).T + np.abs(U.h)
+    error = found.error @ np.abs(U.H).T + 4 * CORNER * (extent + np.abs(U.H).sum(axis=1))
+    error += np.abs(np.einsum("rm,nmi->nri", U.H, found.K)).sum(axis=2) * (found.cuts * CORNER * found.size)[:, None]
+    worst, _ = np.unravel_index(np.argmax(excess), excess.shape)
+    return float((excess + error[owner]).max()), float(excess.max()), points[worst]
 
 
 @lru_cache(maxsize=32)

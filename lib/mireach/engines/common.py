@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 
@@ -56,32 +55,46 @@ class Support:
         One a direction; None where there is no trajectory at all.
     rests_on : str
         What `bound` rests on: `EXACT`, `COUNTED` or `SOLVER`.
+    resolution : array (k,) or float
+        How far the engine's bounds may lie above the truth, and tie with it (units of v x).
+    source : Support or None
+        The engine's own answer, in the units of `units.own_units`; it helps as `known` for a smaller set.
     """
 
     value: np.ndarray
     bound: np.ndarray
     witness: Sequence
     rests_on: str = field(default=COUNTED, kw_only=True)
+    resolution: np.ndarray | float = field(default=0.0, kw_only=True)
+    source: "Support | None" = field(default=None, kw_only=True, repr=False)
 
 
 class Lazily(Sequence):
-    """A sequence whose entry i is make(i), made when it is first asked for."""
+    """A sequence whose entry i is make(i), made when it is first asked for; pickled it is a tuple."""
 
     def __init__(self, count, make):
-        self._indices, self._make = range(count), lru_cache(maxsize=None)(make)
+        self._indices, self._make, self._made = range(count), make, {}
+
+    def __reduce__(self):
+        return tuple, (list(self),)
 
     def __len__(self):
         return len(self._indices)
 
     def __getitem__(self, i):
         chosen = self._indices[i]
-        return self._make(chosen) if isinstance(chosen, int) else tuple(map(self._make, chosen))
+        return tuple(map(self._entry, chosen)) if isinstance(chosen, range) else self._entry(chosen)
+
+    def _entry(self, i):
+        if i not in self._made:
+            self._made[i] = self._make(i)
+        return self._made[i]
 
 
-def empty_support(count):
+def empty_support(count, rests_on=COUNTED):
     """The support function of the empty set along `count` directions."""
     nothing = np.full(count, -np.inf)
-    return Support(nothing, nothing, (None,) * count)
+    return Support(nothing, nothing, (None,) * count, rests_on=rests_on)
 
 
 def replay(loop, x0, modes, disturbances):

@@ -12,9 +12,9 @@ import numpy as np
 
 from ..balls import flint
 from ..polytope import Polytope
-from ..rational import above, binary, dot, fractions, nearest, rational
-from . import cells as float_cells
-from .common import Support, checked_query, empty_support, replay
+from ..rational import above, binary, dot, fractions, maximize, nearest
+from .common import EXACT, Lazily, Support, checked_query, empty_support, replay
+from .steps import Escape, Step, with_bias
 
 AROUND = 2.0**-40  # boxes that sort out what cannot meet are this much larger (relative), for they are floats
 MOST_PARTS = 10_000  # parts that the rest of one image may fall into while it is compared with a region
@@ -40,32 +40,6 @@ class ExactCell:
     def image(self, x):
         """M x + c."""
         return tuple(row[0] * x[0] + row[1] * x[1] + offset for row, offset in zip(self.M, self.c))
-
-
-@dataclass(frozen=True)
-class Escape:
-    """A step that leads out of a set, in rational numbers; `successor` replays it.
-
-    Attributes
-    ----------
-    state, disturbance, after : pair of Fraction
-        A state of the set, a disturbance of the mode's set, and where they lead: outside the set.
-        The last two are None where the state itself has no successor.
-    mode : int or None
-        Counted from 0.
-    """
-
-    state: tuple
-    mode: int | None = None
-    disturbance: tuple | None = None
-    after: tuple | None = None
-
-    def __str__(self):
-        x = [round(float(value), 6) for value in self.state]
-        if self.after is None:
-            return f"x = {x} has no successor: it lies outside the state set, or no region contains it with its input"
-        d, after = ([round(float(value), 6) for value in pair] for pair in (self.disturbance, self.after))
-        return f"x = {x}, mode {self.mode + 1}, d = {d} -> {after}"
 
 
 def support(loop, F, V, steps=1):
@@ -94,7 +68,21 @@ def support(loop, F, V, steps=1):
     V, steps = checked_query(loop, F, V, steps)
     if steps != 1:
         raise ValueError(f'the exact engine takes one step; got steps = {steps}; use engine="cells"')
-    rows = [(binary(a), binary(b)) for a, b in zip(F.H.tolist(), F.h.tolist())]
+    best = farthest_steps(loop, F, V)
+    if best is None:
+        return empty_support(len(V), EXACT)
+    value, bound = (np.array([rounded(step.value) for step in best]) for rounded in (nearest, above))
+
+    def witness(k):
+        x, d = ([nearest(entry) for entry in part] for part in (best[k].state, best[k].disturbance))
+        return replay(loop, np.array(x), [best[k].mode], [np.array(d)])
+
+    return Support(value, bound, Lazily(len(V), witness), rests_on=EXACT)
+
+
+def farthest_steps(loop, F, V):
+    """The Step from F that goes farthest along each row of V: list, or None if F does not meet X."""
+    rows = _rows(F)
     every, spread, parts = cells(loop), disturbances(loop), {}
     heights, near, best = _heights(loop, V), _near(loop, F), []
     for k, v in enumerate(map(binary, V.tolist())):
@@ -109,14 +97,12 @@ def support(loop, F, V, steps=1):
             for x in parts[j]:
                 value = dot(v, every[j].image(x)) + dot(v, d)
                 if found is None or value > found[0]:
-                    found = (value, every[j].mode, x, d)
+                    found = (value, x, j, d)
         if found is None:
-            return empty_support(len(V))
-        best.append(found)
-    value, bound = (np.array([rounded(found[0]) for found in best]) for rounded in (nearest, above))
-    floats = [[np.array([nearest(entry) for entry in pair]) for pair in found[2:]] for found in best]
-    witness = tuple(replay(loop, x, [found[1]], [d]) for found, (x, d) in zip(best, floats))
-    return Support(value, bound, witness)
+            return None
+        value, x, j, d = found
+        best.append(Step(value, x, every[j].mode, d, tuple(zip(*_sides(every[j].corners), *rows))))
+    return best
 
 
 def first_escape(loop, pieces):
@@ -186,18 +172,6 @@ def first_escape(loop, pieces):
     return None
 
 
-def successor(loop, state, mode, disturbance):
-    """A x + B Phi(x) + p + d of a mode for rational x and d: pair of Fraction."""
-    x, d = rational(state), rational(disturbance)
-    y = x
-    for layer in loop.network.hidden:
-        z = [dot(binary(row), y) + binary(b) for row, b in zip(layer.weight.tolist(), layer.bias.tolist())]
-        y = [max(z[i : i + layer.pool]) for i in range(0, len(z), layer.pool)]
-    u = [dot(binary(row), y) + binary(b) for row, b in zip(loop.network.weight.tolist(), loop.network.bias.tolist())]
-    A, B, p = (binary(getattr(loop.system.modes[mode], name).tolist()) for name in "ABp")
-    return fractions([dot(A[i], x) + dot(B[i], u) + p[i] + d[i] for i in range(2)])
-
-
 def growth(C, before, h, centre):
     """The largest alpha with c + alpha (R - c) in R_before, R = {x : C x <= h}, without rounding (eq. StabCondFmin).
 
@@ -215,10 +189,8 @@ def growth(C, before, h, centre):
     Fraction or None
         None if c is not inside R.
     """
-    rows = [(binary(a), binary(b)) for a, b in zip(np.asarray(C).tolist(), h.tolist())]
-    corners, c = _bounded(Polytope(C, h), rows), binary(list(centre))
-    shares = []
-    for (a, _), limit in zip(rows, before.tolist()):
+    corners, c, shares = _polygon(Polytope(C, h)), binary(list(centre)), []
+    for a, limit in zip(binary(np.asarray(C).tolist()), before.tolist()):
         size = max((dot(a, x) for x in corners), default=dot(a, c)) - dot(a, c)
         if size <= 0:
             return None
@@ -383,11 +355,12 @@ def cells(loop):
     Raises
     ------
     ValueError
-        If the loop has not two states, or Phi leaves U.
+        If the loop has not two states.
     """
-    float_cells.cells(loop)  # its checks
+    if loop.system.state_size != 2:
+        raise ValueError(f'the exact cells need 2 states, but the loop has {loop.system.state_size}; use engine="milp"')
     found, X = [], _polygon(loop.system.state_set)
-    pieces = list(_affine_pieces(loop.network, X))
+    pieces = _affine_pieces(loop.network, loop.system.state_set)
     boxes = np.array([_box(corners) for corners, _, _ in pieces])
     for number, mode in enumerate(loop.system.modes):
         A, B, p = (binary(getattr(mode, name).tolist()) for name in "ABp")
@@ -414,7 +387,8 @@ def _heights(loop, V):
     """Floats above v x+ for all x of each whole cell and all d, for the rows v of V: array (cells, k)."""
     _, images, starts = _floats(loop)
     modes = [cell.mode for cell in cells(loop)]
-    spread = np.array([mode.disturbance.support(V) for mode in loop.system.modes])[modes]
+    corners = [np.array([[nearest(entry) for entry in d] for d in one]) for one in disturbances(loop)]
+    spread = np.array([(V @ ends.T).max(axis=1) for ends in corners])[modes]
     around = AROUND * (1 + np.abs(images).max(initial=0.0) + np.abs(spread).max()) * (1 + np.abs(V).sum(axis=1))
     return np.maximum.reduceat(images @ V.T, starts) + spread + around
 
@@ -459,23 +433,36 @@ def _rows(P):
 
 
 def _polygon(P):
-    """The corners of a bounded Polytope."""
-    return _bounded(P, _rows(P))
+    """The corners of a bounded Polytope of the plane; none if it is empty."""
+    rows, one, zero = _rows(P), flint().fmpq(1), flint().fmpq(0)
+    H, h = zip(*rows)
+    ends = [maximize(H, h, v).value for v in ((one, zero), (zero, one), (-one, zero), (zero, -one))]
+    if any(isinstance(end, float) for end in ends):  # -inf: P is empty
+        return []
+    right, top, left, bottom = ends[0], ends[1], -ends[2], -ends[3]
+    return _clip_all(_hull([(left, bottom), (right, bottom), (right, top), (left, top)]), rows)
 
 
-def _bounded(P, rows):
-    """The corners of a bounded Polytope whose rows are (a, b) without rounding."""
-    lower, upper = P.bounding_box()
-    (left, bottom), (right, top) = binary((lower - 1).tolist()), binary((upper + 1).tolist())
-    return _clip_all([(left, bottom), (right, bottom), (right, top), (left, top)], rows)
+def highest_inputs(network, X, V):
+    """max v Phi(x) over x in X for the rows v of V, without rounding: (fmpq, x) of each, x being a pair of fmpq."""
+    best = [None] * len(V)
+    for corners, K, g in _affine_pieces(network, X):
+        for x in corners:
+            u = [dot(row, x) + offset for row, offset in zip(K, g)]
+            for k, v in enumerate(V):
+                value = dot(v, u)
+                if best[k] is None or value > best[k][0]:
+                    best[k] = value, x
+    return best
 
 
-def _affine_pieces(network, domain):
-    """Polygons that cover the domain, each with K (m pairs) and g (m numbers) of Phi = K x + g on it."""
+@lru_cache(maxsize=32)
+def _affine_pieces(network, X):
+    """Polygons that cover X, each with K (m pairs) and g (m numbers) of Phi = K x + g on it: list of triples."""
     matrix = flint().fmpq_mat
-    pieces = [(domain, matrix(3, 3, [1, 0, 0, 0, 1, 0, 0, 0, 1]))]  # rows (K, g) of the last layer, below them 1
+    pieces = [(_polygon(X), matrix(3, 3, [1, 0, 0, 0, 1, 0, 0, 0, 1]))]  # rows (K, g) of the last layer, below them 1
     for layer in network.hidden:
-        weight, following = _with_bias(layer.weight, layer.bias), []
+        weight, following = with_bias(layer.weight, layer.bias), []
         for corners, affine in pieces:
             channels = (weight * affine).tolist()
             parts = [(corners, [])]
@@ -484,16 +471,11 @@ def _affine_pieces(network, domain):
                 parts = [(part, [*won, *neuron[j]]) for whole, won in parts for part, j in _by_winner(whole, neuron)]
             following += [(part, matrix(layer.width + 1, 3, [*won, 0, 0, 1])) for part, won in parts]
         pieces = following
-    weight = _with_bias(network.weight, network.bias)
+    weight, found = with_bias(network.weight, network.bias), []
     for corners, affine in pieces:
         output = (weight * affine).tolist()
-        yield corners, [tuple(row[:2]) for row in output], [row[2] for row in output]
-
-
-def _with_bias(weight, bias):
-    """(W, b) as an fmpq_mat."""
-    rows = np.column_stack([weight, bias])
-    return flint().fmpq_mat(*rows.shape, list(binary(rows.ravel())))
+        found.append((corners, [tuple(row[:2]) for row in output], [row[2] for row in output]))
+    return found
 
 
 def _by_winner(corners, channels):

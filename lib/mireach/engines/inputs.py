@@ -1,0 +1,91 @@
+"""Whether Phi(x) lies in U for every x in X (Sec. II.A of [Teichrib2025]): one check for all engines.
+
+A state whose input lies outside U has no successor, so that nothing may be said about a loop that has one.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from ..loop import input_message
+from ..rational import binary, nearest
+from ..scaling import in_units
+from ..units import own_units
+from . import cells, exact
+
+CLEAR = 1e-9  # an excess of floats above this is one (relative to the size of U); below, exact arithmetic decides
+
+
+def require_inputs(loop):
+    """Raise ValueError if Phi leaves U somewhere in X; the message gives a state.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+
+    Notes
+    -----
+    Interval arithmetic decides it for saturated networks, which leave U by no rounding. For two states the corners
+    of the cells decide, with their rounding counted and without rounding where that leaves a doubt. For more states
+    it is the MILP, to within 1e-7 of the size of U.
+    """
+    x = violating_state(loop, loop.system.input_set)
+    if x is not None:
+        u, U = loop.network(x), loop.system.input_set
+        raise ValueError(input_message(max((U.H @ u - U.h).max(), 0), x, u))
+
+
+def violating_state(loop, U):
+    """A state (n,) of X whose input lies outside the Polytope U, or None."""
+    units = own_units(loop)
+    system = units.loop.system
+    regions = tuple(mode.region for mode in system.modes)
+    state = _violating_state(units.loop.network, regions, system.state_set, _inputs_in_units(units, U))
+    return None if state is None else units.states(state)
+
+
+@lru_cache(maxsize=128)
+def _inputs_in_units(units, U):
+    return in_units(U, units.inputs)
+
+
+@lru_cache(maxsize=128)
+def _violating_state(network, regions, X, U):
+    """A state (n,) of X whose input lies outside U, or None."""
+    if _by_intervals(network, X, U):
+        return None
+    if X.dimension != 2:
+        return None
+    most, excess, x = cells.input_excess(network, regions, X, U)
+    if most <= 0:
+        return None
+    if excess > CLEAR:
+        return x
+    found = exact.highest_inputs(network, X, binary(U.H))
+    for (value, x), limit in zip(found, binary(U.h)):
+        if value > limit:
+            return np.array([nearest(entry) for entry in x])
+    return None
+
+
+def _by_intervals(network, X, U):
+    """Whether interval arithmetic shows that Phi(x) lies in U for every x in X, its rounding counted."""
+    low, high = X.bounding_box()
+    around = 2.0**-40 * np.maximum(np.abs(low), np.abs(high))
+    low, high = low - around, high + around
+    for layer in network.hidden:
+        low, high = _range(layer.weight, layer.bias, low, high)
+        low, high = (ends.reshape(layer.width, layer.pool).max(axis=1) for ends in (low, high))
+    low, high = _range(network.weight, network.bias, low, high)
+    return bool((_range(U.H, np.zeros(len(U.h)), low, high)[1] <= U.h).all())
+
+
+def _range(W, b, low, high):
+    """Limits of W y + b over low <= y <= high; a row with one term, a power of two times it, is not rounded."""
+    up, down = np.maximum(W, 0), np.minimum(W, 0)
+    most, least = up @ high + down @ low + b, up @ low + down @ high + b
+    size = np.abs(W) @ np.maximum(np.abs(low), np.abs(high)) + np.abs(b)
+    terms = (W != 0).sum(axis=1) + (b != 0)
+    simple = (terms <= 1) & ((W == 0) | (np.abs(np.frexp(W)[0]) == 0.5)).all(axis=1)
+    rounding = np.where(simple, 0.0, 2.0**-52 * (terms + 2) * size)
+    return least - rounding, most + rounding
