@@ -3,8 +3,67 @@
 numba compiles them when they are first used, which takes some seconds, and keeps the result on disk.
 """
 
+import math
+
 import numpy as np
 from numba import njit
+
+EMPTY, DOUBTFUL, FAT = 0, 1, 2  # what `polygon` says of a set: see there
+ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
+LEAST = 1e-290  # covers what they lose where numbers are too small for a float's full precision
+NEEDLE = 1e-5  # two rows of length about 1 meet well if their determinant is at least this
+
+
+@njit(cache=True)
+def _exponents(H, h, unit):
+    """Exponents e of units 2^e for the coordinates, to `unit` (2,): medians of where rows cut the axes.
+
+    They follow the data: another power of two as the unit of a coordinate, or as the factor of a row, changes e
+    accordingly, or does not change it.
+    """
+    known, cuts = np.zeros(2, np.bool_), np.empty(len(h), np.int64)
+    for j in range(2):
+        count = 0
+        for r in range(len(h)):
+            if h[r] != 0 and H[r, j] != 0:
+                cuts[count] = math.frexp(h[r])[1] - math.frexp(H[r, j])[1]
+                count += 1
+        if count:
+            unit[j], known[j] = np.sort(cuts[:count])[count // 2], True
+        else:
+            unit[j] = 0
+    for j in range(2):
+        if known[j] or (j == 0 and not known[1]):
+            continue
+        count = 0
+        for r in range(len(h)):
+            if H[r, 0] != 0 and H[r, 1] != 0:
+                cuts[count] = math.frexp(H[r, 1 - j])[1] + unit[1 - j] - math.frexp(H[r, j])[1]
+                count += 1
+        if count:
+            unit[j] = np.sort(cuts[:count])[count // 2]
+
+
+@njit(cache=True)
+def _in_units(H, h, unit, row, offset):
+    """Rows H x <= h for x in units of 2^unit, each scaled by a power of two to entries below 1: row z <= offset.
+
+    Returns False if an offset is too large for that. Rounding occurs only far below `LEAST`.
+    """
+    for r in range(len(h)):
+        most = -10000
+        for j in range(2):
+            if H[r, j] != 0:
+                most = max(most, math.frexp(H[r, j])[1] + unit[j])
+        if most == -10000:
+            row[r, 0], row[r, 1], offset[r] = 0.0, 0.0, np.sign(h[r])
+            continue
+        for j in range(2):
+            row[r, j] = math.ldexp(H[r, j], unit[j] - most)
+        if h[r] != 0 and math.frexp(h[r])[1] - most > 400:
+            return False
+        offset[r] = math.ldexp(h[r], -most)
+    return True
 
 
 @njit(cache=True)
@@ -16,60 +75,210 @@ def polygon(H, h, parallel, tol):
     H : array (l, 2)
     h : array (l,)
     parallel : float
-        Unit rows whose determinant is at most this do not meet.
+        Rows of length about 1 whose determinant is at most this do not meet.
     tol : float
-        A point x is inside if H x <= h + tol (1 + |x|_inf), for unit rows. Vertices closer than tol (1 + the
-        largest coordinate) are one.
+        Vertices closer than this are one, and a vertex is inside if it satisfies the rows to within this (relative to
+        the largest coordinates).
 
     Returns
     -------
-    array (v, 2)
-        Counter-clockwise. No rows where the set is empty, perhaps unbounded, or in doubt.
+    kind : int
+        FAT: the set is bounded and has an interior, both certainly, and the vertices are sharp. DOUBTFUL: it may be
+        flat, empty, a needle, or far from the origin for its size. EMPTY: there are no vertices, because the set is
+        empty, perhaps unbounded, or in doubt.
+    corners : array (v, 2)
+        Counter-clockwise.
+    local, row, offset, unit : arrays (v, 2), (l, 2), (l,) and (2,) of int
+        The corners and the rows for x in units of 2^unit, rows scaled by powers of two.
+    extent : float
+        In these units no coordinate of the set exceeds it; inf if that is not proven.
     """
-    none, rows = np.empty((0, 2)), 0
-    unit, offset, angle = np.empty(H.shape), np.empty(len(h)), np.empty(len(h))
-    for r in range(len(h)):
-        length = np.hypot(H[r, 0], H[r, 1])
-        if length > 0:
-            unit[rows] = H[r] / length
-            offset[rows], angle[rows] = h[r] / length, np.arctan2(H[r, 1], H[r, 0])
-            rows += 1
-        elif h[r] < 0:
-            return none
-    angle = np.sort(angle[:rows])
+    none = np.empty((0, 2))
+    unit, row, offset = np.zeros(2, np.int64), np.empty(H.shape), np.empty(len(h))
+    _exponents(H, h, unit)
+    local = none
+    far, kind = np.zeros(2), EMPTY
+    for attempt in range(3):
+        if not _in_units(H, h, unit, row, offset):
+            return EMPTY, none, none, row, offset, unit, np.inf
+        kind, local, far = _corners(row, offset, parallel, tol)
+        if not len(local):
+            return EMPTY, none, none, row, offset, unit, np.inf
+        good = True
+        for j in range(2):
+            more = math.frexp(far[j])[1]
+            if far[j] > 0 and abs(more) > 6 and attempt < 2:
+                unit[j] += more
+                good = False
+        if good:
+            break
+    corners, extent = np.empty(local.shape), np.inf
+    for k in range(len(local)):
+        for j in range(2):
+            corners[k, j] = math.ldexp(local[k, j], unit[j])
+    if kind == FAT:
+        most, left = 0.0, 0.0
+        for v0, v1 in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
+            value, rest0, rest1 = _dual(v0, v1, local, row, offset)
+            most, left = max(most, value), max(left, rest0 + rest1)
+        if left < 0.5:
+            extent = most / (1 - left) * (1 + ROUNDING) + LEAST
+    return kind, corners, local, row, offset, unit, extent
+
+
+@njit(cache=True)
+def _corners(row, offset, parallel, tol):
+    """The corners of {z : row z <= offset}: kind, corners (v, 2), and the largest coordinates (2,)."""
+    none, rows = np.empty((0, 2)), len(offset)
+    angle, used = np.empty(rows), 0
     for r in range(rows):
-        following = angle[r + 1] if r + 1 < rows else angle[0] + 2 * np.pi
+        if row[r, 0] != 0 or row[r, 1] != 0:
+            angle[used] = np.arctan2(row[r, 1], row[r, 0])
+            used += 1
+        elif offset[r] < 0:
+            return EMPTY, none, np.zeros(2)
+    angle = np.sort(angle[:used])
+    for r in range(used):
+        following = angle[r + 1] if r + 1 < used else angle[0] + 2 * np.pi
         if following - angle[r] > np.pi - 1e-9:
-            return none
-    found, count, strict = np.empty((max(rows * (rows - 1) // 2, 1), 2)), 0, 0
+            return EMPTY, none, np.zeros(2)
+    found, sine, count, strict = np.empty((max(rows * (rows - 1) // 2, 1), 2)), np.empty(rows * rows + 1), 0, 0
     for i in range(rows):
         for j in range(i + 1, rows):
-            turn = unit[i, 0] * unit[j, 1] - unit[i, 1] * unit[j, 0]
+            turn = row[i, 0] * row[j, 1] - row[i, 1] * row[j, 0]
             if abs(turn) <= parallel:
                 continue
             x, y = 0.0, 0.0
             for _ in range(2):  # the second round takes back what the first one rounded off
-                p = offset[i] - unit[i, 0] * x - unit[i, 1] * y
-                q = offset[j] - unit[j, 0] * x - unit[j, 1] * y
-                x, y = x + (p * unit[j, 1] - q * unit[i, 1]) / turn, y + (q * unit[i, 0] - p * unit[j, 0]) / turn
+                p = offset[i] - row[i, 0] * x - row[i, 1] * y
+                q = offset[j] - row[j, 0] * x - row[j, 1] * y
+                x, y = x + (p * row[j, 1] - q * row[i, 1]) / turn, y + (q * row[i, 0] - p * row[j, 0]) / turn
             limit, inside = tol * (1 + max(abs(x), abs(y))), True
             for k in range(rows):
                 r = (strict + k) % rows  # the row that the last point failed is likely to refuse this one too
-                if unit[r, 0] * x + unit[r, 1] * y - offset[r] > limit:
+                if not row[r, 0] * x + row[r, 1] * y - offset[r] <= limit:
                     inside, strict = False, r
                     break
             if inside:
-                found[count] = x, y
+                found[count], sine[count] = (x, y), abs(turn)
                 count += 1
-    size, distinct = 1 + np.abs(found[:count]).max() if count else 1.0, 0
+    if not count:
+        return EMPTY, none, np.zeros(2)
+    far, least, distinct = np.zeros(2), np.array([np.inf, np.inf]), 0
+    most = -least
     for k in range(count):
-        new = True
-        for other in range(distinct):
-            new = new and max(abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1])) > tol * size
-        if new:
-            found[distinct] = found[k]
+        for j in range(2):
+            far[j] = max(far[j], abs(found[k, j]))
+            least[j], most[j] = min(least[j], found[k, j]), max(most[j], found[k, j])
+    size = max(far[0], far[1])
+    for k in range(count):
+        other = 0
+        while other < distinct and max(abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1])) > (
+            tol * size
+        ):
+            other += 1
+        if other < distinct:
+            sine[other] = max(sine[other], sine[k])
+        else:
+            found[distinct], sine[distinct] = found[k], sine[k]
             distinct += 1
-    return around(found[:distinct])
+    local = around(found[:distinct])
+    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any():
+        return DOUBTFUL, local, far
+    x, y = local[:, 0].mean(), local[:, 1].mean()
+    for r in range(rows):
+        terms = abs(row[r, 0] * x) + abs(row[r, 1] * y) + abs(offset[r])
+        if row[r, 0] * x + row[r, 1] * y - offset[r] > -1e-9 * terms:
+            return DOUBTFUL, local, far
+    return FAT, local, far
+
+
+@njit(cache=True)
+def tight_pair(v0, v1, local, row, offset):
+    """A corner that is highest along v, and two rows through it that v lies between, to within rounding: (k, i, j).
+
+    i or j is -1 where there is none.
+    """
+    best, highest = 0, -np.inf
+    for k in range(len(local)):
+        height = v0 * local[k, 0] + v1 * local[k, 1]
+        if height > highest:
+            best, highest = k, height
+    x, y = local[best, 0], local[best, 1]
+    before, after, i, j = -np.inf, np.inf, -1, -1
+    for r in range(len(offset)):
+        if abs(row[r, 0] * x + row[r, 1] * y - offset[r]) > 1e-10 * (1 + abs(x) + abs(y)):
+            continue
+        angle = np.arctan2(v0 * row[r, 1] - v1 * row[r, 0], v0 * row[r, 0] + v1 * row[r, 1])
+        if angle <= 0 and (angle > before or (angle == before and offset[r] < offset[i])):
+            before, i = angle, r
+        if angle > 0 and (angle < after or (angle == after and offset[r] < offset[j])):
+            after, j = angle, r
+    return best, i, j
+
+
+@njit(cache=True)
+def _dual(v0, v1, local, row, offset):
+    """Weak duality, v x = y row x + (v - row'y) x <= y offset + |v - row'y| |x| for the y >= 0 of two rows.
+
+    Returns y offset and |v - row'y|, both raised by what rounding may have taken from them.
+    """
+    _, i, j = tight_pair(v0, v1, local, row, offset)
+    if i < 0:
+        i = j
+    if j < 0:
+        j = i
+    if i < 0:
+        return np.inf, np.inf, np.inf
+    a0, a1, b0, b1 = row[i, 0], row[i, 1], row[j, 0], row[j, 1]
+    turn = a0 * b1 - a1 * b0
+    if i != j and turn != 0:
+        p, q = max((v0 * b1 - v1 * b0) / turn, 0.0), max((a0 * v1 - a1 * v0) / turn, 0.0)
+    else:
+        p, q = max(v0 * a0 + v1 * a1, 0.0) / (a0 * a0 + a1 * a1), 0.0
+    value = p * offset[i] + q * offset[j] + ROUNDING * (abs(p * offset[i]) + abs(q * offset[j])) + LEAST
+    rest0 = abs(v0 - p * a0 - q * b0) + ROUNDING * (abs(v0) + abs(p * a0) + abs(q * b0)) + LEAST
+    rest1 = abs(v1 - p * a1 - q * b1) + ROUNDING * (abs(v1) + abs(p * a1) + abs(q * b1)) + LEAST
+    return value, rest0, rest1
+
+
+@njit(cache=True)
+def inclusion(V, w, local, row, offset, unit, extent):
+    """Whether v x <= w holds in a FAT set of the plane, for each row v of V: array (k,) of 1, of -1 if not, 0 in doubt.
+
+    1 is proven by weak duality, -1 by a point inside the set that is beyond the row, both with their rounding counted.
+    `local`, `row`, `offset`, `unit`, `extent` are what `polygon` returns.
+    """
+    answer = np.zeros(len(w), np.int64)
+    x, y = local[:, 0].mean(), local[:, 1].mean()
+    for k in range(len(w)):
+        most = -10000
+        for j in range(2):
+            if V[k, j] != 0:
+                most = max(most, math.frexp(V[k, j])[1] + unit[j])
+        if most == -10000 or (w[k] != 0 and math.frexp(w[k])[1] - most > 400):
+            continue
+        v0, v1 = math.ldexp(V[k, 0], unit[0] - most), math.ldexp(V[k, 1], unit[1] - most)
+        limit = math.ldexp(w[k], -most)
+        value, rest0, rest1 = _dual(v0, v1, local, row, offset)
+        value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
+        if value + ROUNDING * abs(value) + LEAST <= limit:
+            answer[k] = 1
+            continue
+        best, _, _ = tight_pair(v0, v1, local, row, offset)
+        x0, x1 = local[best, 0], local[best, 1]
+        if v0 * x0 + v1 * x1 - ROUNDING * (abs(v0 * x0) + abs(v1 * x1)) - LEAST <= limit:
+            continue
+        for shift in (2.0**-40, 2.0**-20):  # a point a little inside
+            z0, z1 = x0 + (x - x0) * shift, x1 + (y - x1) * shift
+            inside = v0 * z0 + v1 * z1 - ROUNDING * (abs(v0 * z0) + abs(v1 * z1)) - LEAST > limit
+            for r in range(len(offset)):
+                terms = abs(row[r, 0] * z0) + abs(row[r, 1] * z1) + abs(offset[r])
+                inside &= row[r, 0] * z0 + row[r, 1] * z1 - offset[r] + ROUNDING * terms + LEAST <= 0
+            if inside:
+                answer[k] = -1
+                break
+    return answer
 
 
 @njit(cache=True)
@@ -97,6 +306,30 @@ def around(points):
         points[far, 1] - points[0, 1]
     )
     return points[np.array([np.argmin(along), np.argmax(along)])]
+
+
+@njit(cache=True)
+def hull(points, turn):
+    """The corners of the convex hull of points (k, 2), sorted by the first coordinate: array (v,) of int.
+
+    Counter-clockwise from the first point, by Andrew's monotone chain. Corners at which the boundary turns by a sine
+    of at most `turn` are left out.
+    """
+    chain, count = np.empty(2 * len(points) + 1, np.int64), 0
+    for half in range(2):
+        start = count
+        for step in range(len(points)):
+            k = step if half == 0 else len(points) - 1 - step
+            while count >= start + 2:
+                a, b, c = points[chain[count - 2]], points[chain[count - 1]], points[k]
+                sine = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+                if sine > turn * np.hypot(b[0] - a[0], b[1] - a[1]) * np.hypot(c[0] - b[0], c[1] - b[1]):
+                    break
+                count -= 1
+            chain[count] = k
+            count += 1
+        count -= 1  # the last point of a half is the first one of the other
+    return chain[: max(count, 1)].copy()
 
 
 # -- cutting one polygon ------------------------------------------------------------------------------

@@ -1,19 +1,36 @@
-"""Polytopes {x : H x <= h}: support functions, vertices, inclusion, templates (Sec. I.A of [Teichrib2025])."""
+"""Polytopes {x : H x <= h}: support functions, vertices, inclusion, templates (Sec. I.A of [Teichrib2025]).
+
+Every number is the float that it is. Floating point is tried first, in units that follow the set (powers of two, so
+that scaling rounds nothing); what it cannot decide with certainty is decided over the rationals.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from math import comb
+from typing import NamedTuple
 
+import highspy
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from . import rational
+from .balls import flint
 from .checks import positive_number, real_array, require_columns, require_kind, whole_number
-from .compiled import around, polygon
+from .compiled import EMPTY, FAT, around, hull, inclusion, polygon, tight_pair
+from .errors import SolverError
 from .lp import LinearProgram
+from .rational import ExactOptimum, above, binary, nearest
 
-TOUCH = 1e-11  # vertices count as one point, and as inside, within this distance (relative to 1 + the size of the set)
-PARALLEL = 1e-12  # unit rows whose determinant is below this have no vertex
+TOUCH = 1e-11  # vertices count as one point within this distance, relative to the size of the set in each coordinate
+PARALLEL = 1e-12  # rows of length about 1 whose determinant is below this have no vertex
+NEARLY = 1e-6  # candidates for a vertex are decided over the rationals if they are inside to within this
+TURN = 1e-12  # points are no corners of a hull where its boundary turns by a smaller sine
+ROUNDING = 2.0**-50  # covers what a sum of a few products rounds off, relative to the sizes of its terms
+LEAST = 2.0**-1060  # covers what products lose that are too small for full precision
+SINGULAR = 1e-8  # n rows of length about 1 whose determinant is below this meet where floats do not tell
+MOST_SINGULAR = 20_000  # of those that `vertices` is willing to look at over the rationals
+WIDE = np.pi - 1e-6  # between the normals of two neighbouring sides: they meet in a needle's tip
 MOST_VERTEX_CANDIDATES = 2_000_000  # subsets of rows that `vertices` is willing to try
 
 
@@ -53,7 +70,7 @@ class Polytope:
         object.__setattr__(self, "h", h)
 
     def __reduce__(self):
-        return Polytope, (self.H, self.h)  # what is cached holds a solver, which cannot be pickled
+        return Polytope, (self.H, self.h)  # what is cached holds a solver and fractions, which cannot be pickled
 
     def __repr__(self):
         return f"Polytope({len(self.h)} rows in R^{self.dimension})"
@@ -86,6 +103,8 @@ class Polytope:
     def from_points(points):
         """The convex hull of points, rounded outward by at most a few units in the last place.
 
+        It is bounded and contains every one of the points, whatever `contains` rounds.
+
         Parameters
         ----------
         points : array (k, n)
@@ -98,24 +117,25 @@ class Polytope:
             If there is no point, or the hull is flat and n > 2.
         """
         points = real_array(points, "points", 2)
+        n = points.shape[1]
         if not len(points):
             raise ValueError("points is empty; a convex hull needs at least one point")
-        try:
-            H = ConvexHull(points).equations[:, :-1]
-        except (QhullError, ValueError) as error:
-            flat = np.ptp(points, axis=0).max() == 0
-            if points.shape[1] > 2 and not flat:
+        unit = np.frexp(np.ptp(np.ldexp(points, -1), axis=0))[1] + 1  # half the points, for ptp must not overflow
+        local = np.ldexp(points - points[0] if n > 2 else points, -unit)
+        identity = np.vstack([np.eye(n), -np.eye(n)])
+        if n == 1 or (points == points[0]).all():
+            normals = identity
+        elif n == 2:
+            normals = _normals(local)
+        else:
+            try:
+                normals = ConvexHull(local).equations[:, :-1]
+            except QhullError as error:
                 raise ValueError(
-                    f"the {len(points)} points span no volume in R^{points.shape[1]}; "
-                    "give H and h of a flat set directly"
+                    f"the {len(points)} points span no volume in R^{n}; give H and h of a flat set directly"
                 ) from error
-            H = np.vstack([np.eye(points.shape[1]), -np.eye(points.shape[1])])
-            if not flat and points.shape[1] == 2:
-                along = points[np.argmax(np.linalg.norm(points - points[0], axis=1))] - points[0]
-                along = along / np.linalg.norm(along)
-                across = np.array([-along[1], along[0]])
-                H = np.array([along, -along, across, -across])
-        return Polytope(H, (points @ H.T).max(axis=0))
+        found = _rows_around(normals, unit, points)
+        return found if n <= 2 or found.is_bounded else found & _rows_around(identity, 0 * unit, points)
 
     @staticmethod
     def from_dict(value):
@@ -136,7 +156,7 @@ class Polytope:
         return self.H.shape[1]
 
     def support(self, V):
-        """Support function h_P(v) = max {v x : x in P}, for each row v of V.
+        """Support function h_P(v) = max {v x : x in P}, for each row v of V, as the nearest floats.
 
         Parameters
         ----------
@@ -153,62 +173,268 @@ class Polytope:
         ValueError
             If V does not have n columns; the message gives both sizes.
 
+        See Also
+        --------
+        bound : a proven upper bound; exact_maximum : without rounding.
+
         Notes
         -----
-        In the plane a maximum over the vertices; otherwise one LP a row (HiGHS), warm-started from
-        the last. Sec. I.A of [Teichrib2025].
+        In the plane a maximum over the vertices, unless the set is flat, a needle, or far from the origin for its
+        size. Otherwise one `exact_maximum` a row. Sec. I.A of [Teichrib2025].
         """
+        V = self._directions(V)
+        if self._is_fat:
+            return (V @ self._vertices.T).max(axis=1)
+        return np.array([_float(self.exact_maximum(v).value, nearest) for v in V])
+
+    def bound(self, V):
+        """The smallest floats that are not below the support function: array (k,).
+
+        Parameters
+        ----------
+        V : array (k, n)
+            Directions, one a row.
+
+        Returns
+        -------
+        array (k,)
+            inf where P is unbounded along v, -inf where P is empty. On the rows of H it does not exceed h.
+
+        Raises
+        ------
+        ValueError
+            If V does not have n columns; the message gives both sizes.
+
+        Examples
+        --------
+        >>> P = Polytope([[3, 0], [-1, 0], [0, 1], [0, -1]], [1, 1, 1, 1])
+        >>> P.bound([[1, 0]]) == np.nextafter(1 / 3, 1)  # the float 1 / 3 lies below one third
+        array([ True])
+        """
+        return np.array([_float(self.exact_maximum(v).value, above) for v in self._directions(V)])
+
+    def _directions(self, V):
+        """V as an array, its columns checked."""
         V = real_array(V, "V", 2)
         require_columns(V, self.dimension, "V", "the dimension of the polytope")
-        if self.dimension == 2 and self.is_bounded and not self.is_empty:
-            return (V @ self.vertices().T).max(axis=1)
-        lp, x = self._program
-        return np.array([lp.maximize(x, v).value for v in V])
+        return V
 
     def farthest(self, v):
-        """A point (n,) of P that attains h_P(v), or None if P is empty or unbounded along v."""
-        v = real_array(v, "v", 1)
+        """A point (n,) of P, to within rounding, that attains h_P(v); None if P is empty or unbounded along v."""
+        point = self.exact_maximum(v).point
+        return None if point is None else np.array([nearest(entry) for entry in point])
+
+    @cached_property
+    def exact(self):
+        """H and h as the fractions that they are: l rows of n fmpq, and l fmpq."""
+        return binary(self.H), binary(self.h)
+
+    def exact_maximum(self, v):
+        """The support function along v, and a point that attains it, without rounding.
+
+        Parameters
+        ----------
+        v : vector (n,) of floats or fmpq
+
+        Returns
+        -------
+        rational.ExactOptimum
+            Of value inf where P is unbounded along v, -inf where P is empty; the point is then None.
+
+        Raises
+        ------
+        ValueError
+            If v does not have n entries; the message gives both sizes.
+
+        Notes
+        -----
+        A float solver proposes n rows that are tight at the maximum. They prove it if the point x at which they meet
+        lies in P and v is a sum of their normals with factors y >= 0 (both over the rationals), since then
+        v x = y h. Otherwise the simplex method decides over the rationals, starting from those rows.
+
+        Examples
+        --------
+        >>> best = Polytope([[3, 0], [-1, 0], [0, 1], [0, -1]], [1, 1, 1, 1]).exact_maximum([1, 1])
+        >>> best.value, best.point
+        (4/3, (1/3, 1))
+        """
+        if len(v) and all(isinstance(entry, flint().fmpq) for entry in v):
+            direction, v = tuple(v), np.array([nearest(entry) for entry in v])
+        else:
+            v = real_array(v, "v", 1)
+            direction = binary(v)
         require_columns(v, self.dimension, "v", "the dimension of the polytope")
-        lp, x = self._program
-        return lp.maximize(x, v).point
+        if not any(direction):
+            return ExactOptimum(-np.inf, None) if self.point is None else ExactOptimum(direction[0], self.point)
+        rows = self._tight(v)
+        proven = self._at(rows, direction)
+        return proven or rational.maximize(*self.exact, direction, [r for r in rows if r < len(self.h)])
+
+    @cached_property
+    def point(self):
+        """A point of P as a tuple of n fmpq, certainly inside; None if P is empty."""
+        if self._is_fat:
+            two, middle = flint().fmpq(2), binary(self._plane.local.mean(axis=0))
+            return tuple(z * two ** int(e) for z, e in zip(middle, self._plane.unit))
+        H, h = self.exact
+        if self._plane is not None:
+            found = [binary(corner) for corner in self._plane.corners[:1]]
+            rows = ()
+        else:
+            rows, found = self._asked(np.zeros(self.dimension))
+        zero = [flint().fmpq(0)] * self.dimension
+        for candidate in found:
+            if all(rational.dot(a, candidate) <= b for a, b in zip(H, h)):
+                return candidate
+        proven = self._at(rows, zero)
+        if proven is not None:
+            return proven.point
+        few = self._contradiction
+        if few and rational.maximize([H[r] for r in few], [h[r] for r in few], zero).point is None:
+            return None
+        return rational.maximize(H, h, zero).point
+
+    def _at(self, rows, direction):
+        """The ExactOptimum along a direction, if n rows that may be tight there prove it; else None."""
+        if len(rows) != self.dimension:
+            return None
+        if rows not in self._meets:
+            self._meets[rows] = self._meeting(rows)
+        inverse, point = self._meets[rows]
+        if point is None:
+            return None
+        y = (flint().fmpq_mat(1, len(rows), list(direction)) * inverse).entries()
+        if any(factor < 0 for factor in y) or any(y[i] for i, r in enumerate(rows) if r >= len(self.h)):
+            return None
+        return ExactOptimum(rational.dot(direction, point), point)
+
+    @cached_property
+    def _meets(self):
+        """What `_meeting` found, by rows."""
+        return {}
+
+    def _meeting(self, rows):
+        """The inverse of n rows, and the point of P at which they meet: None if it is outside, or if there is none.
+
+        Numbers from l on stand for the rows of x_j = 0.
+        """
+        matrix, (H, h), n = flint().fmpq_mat, self.exact, self.dimension
+        zero, one = flint().fmpq(0), flint().fmpq(1)
+        chosen = [H[r] if r < len(h) else [one if r - len(h) == j else zero for j in range(n)] for r in rows]
+        try:
+            inverse = matrix(n, n, [entry for row in chosen for entry in row]).inv()
+        except ZeroDivisionError:
+            return None, None
+        x = inverse * matrix(n, 1, [h[r] if r < len(h) else zero for r in rows])
+        reached = (self._matrix * x).entries()
+        return inverse, tuple(x.entries()) if all(a <= b for a, b in zip(reached, h)) else None
+
+    @cached_property
+    def _matrix(self):
+        """H as a matrix of fractions."""
+        return flint().fmpq_mat(*self.H.shape, [entry for row in self.exact[0] for entry in row])
+
+    # -- floating point proposes ------------------------------------------------------------------
+
+    @cached_property
+    def _plane(self):
+        """In the plane what `compiled.polygon` says, unless it finds no vertices; else None."""
+        if self.dimension != 2:
+            return None
+        found = _Plane(*polygon(self.H, self.h, PARALLEL, TOUCH))
+        return found if found.kind != EMPTY else None
+
+    @cached_property
+    def _is_fat(self):
+        """True if P lies in the plane and its vertices are certain: bounded, with an interior, and no needle."""
+        return self._plane is not None and self._plane.kind == FAT
+
+    @cached_property
+    def _scaled(self):
+        """row, offset, unit: H x <= h for x in units of 2^unit, rows scaled by powers of two to entries below 1."""
+        if self._plane is not None:
+            return self._plane.row, self._plane.offset, self._plane.unit
+        unit = _units(self.H, self.h)
+        top = _top(self.H, unit)
+        with np.errstate(over="ignore"):
+            offset = np.clip(np.ldexp(self.h, -top), -1e300, 1e300)
+        return np.ldexp(self.H, unit - top[:, None]), offset, unit
 
     @cached_property
     def _program(self):
-        """The constraints H x <= h as a linear program, and the indices of x."""
+        """The scaled constraints as a linear program, the indices of x, and the exponents of its units."""
+        row, offset, unit = self._scaled
         lp = LinearProgram()
         x = lp.add_columns(np.full(self.dimension, -np.inf), np.full(self.dimension, np.inf))
-        lp.add_rows(x, self.H, upper=self.h)
-        return lp, x
+        lp.add_rows(x, row, upper=offset)
+        return lp, x, unit
+
+    def _tight(self, v):
+        """Rows that a float solver proposes as tight at the maximum along v: sorted, n of them if it finds a vertex."""
+        if self.dimension == 1:
+            row, offset, _ = self._scaled
+            ahead = np.flatnonzero(row[:, 0] * v[0] > 0)
+            return (int(ahead[np.argmin(offset[ahead] / np.abs(row[ahead, 0]))]),) if len(ahead) else ()
+        if self._plane is not None:
+            found = self._plane
+            _, i, j = tight_pair(*_direction(v, found.unit), found.local, found.row, found.offset)
+            return tuple(sorted({int(i), int(j)} - {-1}))
+        return self._asked(v)[0]
+
+    def _asked(self, v):
+        """HiGHS's answer along v: rows that are tight (from l on those of x_j = 0), and its point, if it has one."""
+        lp, x, unit = self._program
+        try:
+            best = lp.maximize(x, _direction(v, unit))
+        except SolverError:
+            return (), ()
+        if best.point is None:
+            return (), ()
+        basis, basic = lp.highs.getBasis(), highspy.HighsBasisStatus.kBasic
+        rows = [r for r, status in enumerate(basis.row_status) if status != basic]
+        rows += [len(self.h) + j for j, status in enumerate(basis.col_status) if status != basic]
+        with np.errstate(over="ignore"):
+            point = np.ldexp(best.point, unit)
+        return tuple(rows), (binary(point),) if np.isfinite(point).all() else ()
+
+    @property
+    def _contradiction(self):
+        """Rows that, says HiGHS, no point satisfies together: a few, or none."""
+        if self._plane is not None:
+            return ()
+        lp, x, _ = self._program
+        try:
+            if lp.maximize(x, np.zeros(self.dimension)).value > -np.inf:
+                return ()
+        except SolverError:
+            return ()
+        _, known, ray = lp.highs.getDualRay()
+        return tuple(int(r) for r in np.flatnonzero(ray)) if known else ()
+
+    # -- deciding ---------------------------------------------------------------------------------
 
     @cached_property
     def is_empty(self):
-        """True if no point satisfies H x <= h (to within the LP solver's 1e-9)."""
-        if self._polygon is not None:
-            return False
-        lp, x = self._program
-        return lp.maximize(x, np.zeros(self.dimension)).value == -np.inf
+        """True if no point satisfies H x <= h, decided without rounding."""
+        return not self._is_fat and self.point is None
 
     @cached_property
     def is_bounded(self):
-        """True if P is empty or its support function is finite everywhere."""
-        return self._polygon is not None or self.is_empty or self._extent < np.inf
-
-    @cached_property
-    def _extent(self):
-        """Largest coordinate, up to sign, of a nonempty set."""
-        lp, x = self._program
+        """True if P is empty or its support function is finite everywhere, decided without rounding."""
+        if self._plane is not None or self.is_empty:  # rows that leave no half-plane free bound every set
+            return True
         identity = np.eye(self.dimension)
-        return max(lp.maximize(x, v).value for v in np.vstack([identity, -identity]))
+        return all(self.exact_maximum(v).point is not None for v in np.vstack([identity, -identity]))
 
     def contains(self, x, tol=0.0):
-        """Whether H x <= h + tol.
+        """Whether H x <= h + tol, decided without rounding.
 
         Parameters
         ----------
         x : array (n,) or (N, n)
         tol : float
             In units of h. The default asks for the closed set itself; a computed vertex is inside
-            only to within rounding, 1e-9 is ample for it.
+            only to within rounding, 1e-9 is ample for it in units in which the set has a size of about 1.
 
         Returns
         -------
@@ -216,25 +442,61 @@ class Polytope:
         """
         x = np.asarray(x, float)
         require_columns(x, self.dimension, "x", "the dimension of the polytope")
-        return (x @ self.H.T <= self.h + tol).all(axis=-1)
+        with np.errstate(all="ignore"):
+            excess = x @ self.H.T - (self.h + tol)
+            terms = np.abs(x) @ self._sizes[0] + (self._sizes[1] + abs(tol))
+            inside, doubtful = excess <= 0, ~(np.abs(excess) > ROUNDING * terms + LEAST)
+        if doubtful.any():
+            H, h = self.exact
+            limit = binary(tol)
+            for *which, r in np.argwhere(doubtful):
+                point = x[tuple(which)]
+                if np.isfinite(point).all():
+                    inside[(*which, r)] = rational.dot(H[r], binary(point)) <= h[r] + limit
+        return inside.all(axis=-1)
+
+    @cached_property
+    def _sizes(self):
+        """|H|' and |h|."""
+        return np.abs(self.H).T, np.abs(self.h)
 
     def is_subset(self, Q, tol=0.0):
-        """Whether P lies in Q: h_P(H_Q) <= h_Q + tol. An empty P lies in every Q.
+        """Whether P lies in Q, h_P(H_Q) <= h_Q, decided without rounding. An empty P lies in every Q.
 
         Parameters
         ----------
         Q : Polytope
         tol : float
-            In units of Q.h. Rows that P shares with Q are compared as numbers, so that P lies in P
-            without any tolerance.
+            Q is widened by this share of the largest |v x| over x in P, for each of its rows v, or of |h_Q| where P is
+            unbounded along -v. The share has no unit: the answer is the same in all units.
         """
         require_kind(Q, Polytope, "Q")
         if Q.dimension != self.dimension:
             raise ValueError(f"P lies in R^{self.dimension} but Q in R^{Q.dimension}; inclusion needs one space")
+        if self._is_fat and self._plane.extent < np.inf:
+            found = self._plane
+            answer = inclusion(Q.H, Q.h, found.local, found.row, found.offset, found.unit, found.extent)
+            if not tol and answer.min(initial=1) < 0:
+                return False
+            rows = np.flatnonzero(answer < 1)
+            if not len(rows):
+                return True
+        else:
+            rows = np.arange(len(Q.h))
         own = {row.tobytes(): offset for row, offset in zip(self.H + 0.0, self.h)}
-        shared = np.array([own.get(row.tobytes(), np.inf) for row in Q.H + 0.0])
-        open_rows = shared > Q.h + tol
-        return bool(not open_rows.any() or (self.support(Q.H[open_rows]) <= Q.h[open_rows] + tol).all())
+        rows = [r for r in rows if not own.get((Q.H[r] + 0.0).tobytes(), np.inf) <= Q.h[r]]
+        return not rows or self.is_empty or all(self._stays_below(Q.H[r], Q.h[r], tol) for r in rows)
+
+    def _stays_below(self, v, limit, tol):
+        """Whether v x <= limit on a P that is not empty, up to the share tol of `is_subset`."""
+        highest, limit = self.exact_maximum(v).value, binary(limit)
+        if isinstance(highest, float):
+            return False
+        if highest <= limit or not tol:
+            return highest <= limit
+        lowest = self.exact_maximum(-v).value
+        size = abs(limit) if isinstance(lowest, float) else max(abs(highest), abs(lowest))
+        return highest <= limit + binary(tol) * size
 
     def vertices(self):
         """The extreme points of a bounded set.
@@ -242,7 +504,8 @@ class Polytope:
         Returns
         -------
         array (v, n)
-            Counter-clockwise for n = 2; no rows if P is empty. Points closer than rounding are one.
+            Counter-clockwise for n = 2; no rows if P is empty. Points that differ by rounding are one, relative to
+            the size of the set in each coordinate.
 
         Raises
         ------
@@ -251,53 +514,53 @@ class Polytope:
 
         Notes
         -----
-        Tries all n rows at a time, which is sturdy for flat sets and slow for many rows in high
+        Tries all n rows at a time, over the rationals where floats are in doubt. This is slow for many rows in high
         dimension.
         """
         return self._vertices.copy()
 
     @cached_property
-    def _polygon(self):
-        """In the plane the vertices, where they prove P bounded and nonempty without a linear program; else None."""
-        found = polygon(self.H, self.h, PARALLEL, TOUCH) if self.dimension == 2 else ()
-        return found if len(found) else None
-
-    @cached_property
     def _vertices(self):
         n = self.dimension
-        if self._polygon is not None:
-            return self._polygon
+        if self._is_fat:
+            return self._plane.corners
         if self.is_empty:
             return np.zeros((0, n))
         if not self.is_bounded:
             raise ValueError("the polytope is unbounded; intersect it with a box before asking for vertices")
         if comb(len(self.h), n) > MOST_VERTEX_CANDIDATES:
             raise ValueError(f"{len(self.h)} rows in R^{n} are too many to enumerate vertices; use support()")
-        length = np.linalg.norm(self.H, axis=1)
-        used = length > 0
-        H, h = self.H[used] / length[used, None], self.h[used] / length[used]
-        subsets = np.array(list(combinations(range(len(h)), n)))
-        regular = np.abs(np.linalg.det(H[subsets])) > PARALLEL
-        points = np.linalg.solve(H[subsets[regular]], h[subsets[regular]][..., None])[..., 0]
-        scale = 1 + abs(self._extent)  # not the largest offset: a redundant row may lie far away
-        excess = (points @ H.T - h).max(axis=1)
-        inside = excess <= max(TOUCH * scale, excess.min())  # a set that is empty by a rounding error is a point
-        points = _distinct(points[inside], TOUCH * scale)
-        return around(points) if n == 2 else points
+        found = {}
+        for rows in self._candidates():
+            point = self._meeting(tuple(rows))[1]
+            if point is not None:
+                found[point] = [nearest(entry) for entry in point]
+        return _apart(np.array([*found.values()]))
+
+    def _candidates(self):
+        """Subsets of n rows that may meet in a point of P: lists of int."""
+        row, offset, _ = self._scaled
+        number = np.flatnonzero((row != 0).any(axis=1))
+        subsets = np.array(list(combinations(number, self.dimension)))
+        volume = np.abs(np.linalg.det(row[subsets]))
+        singular = subsets[(volume <= SINGULAR) & (volume > 0)]
+        regular = subsets[volume > SINGULAR]
+        points = np.linalg.solve(row[regular], offset[regular][..., None])[..., 0]
+        terms = np.abs(points) @ np.abs(row).T + np.abs(offset)
+        inside = (points @ row.T - offset <= NEARLY * terms).all(axis=1)
+        return [*regular[inside].tolist(), *singular[:MOST_SINGULAR].tolist()]
 
     def chebyshev(self):
-        """Centre and radius of the largest ball in P: ((n,), float).
+        """Centre and radius of the largest ball in P: ((n,), float), to within rounding.
 
         The radius is negative by the smallest widening that would make an empty P nonempty, 0 for a
         flat P, and inf (with a centre of None) if P holds balls of any size.
         """
-        lp = LinearProgram()
-        x = lp.add_columns(np.full(self.dimension, -np.inf), np.full(self.dimension, np.inf))
-        r = lp.add_columns([-np.inf], [np.inf])
-        norms = np.linalg.norm(self.H, axis=1)
-        lp.add_rows(np.concatenate([x, r]), np.column_stack([self.H, norms]), upper=self.h)
-        best = lp.maximize(r, [1.0])
-        return (None, np.inf) if best.point is None else (best.point[:-1], best.value)
+        top = _top(self.H, np.zeros(self.dimension, int))
+        row = np.ldexp(self.H, -top[:, None])
+        lengths = np.ldexp(np.linalg.norm(row, axis=1), top)
+        best = Polytope(np.column_stack([self.H, lengths]), self.h).farthest(np.eye(self.dimension + 1)[-1])
+        return (None, np.inf) if best is None else (best[:-1], float(best[-1]))
 
     def bounding_box(self):
         """Smallest box around P as (lower (n,), upper (n,)): inf where P is unbounded, lower > upper if P is empty."""
@@ -315,7 +578,9 @@ class Polytope:
         """
         if self.dimension != 2:
             raise ValueError(f"only sets of the plane have an area; this one lies in R^{self.dimension}")
-        x, y = self._vertices.T
+        if len(self._vertices) < 3:
+            return 0.0
+        x, y = (self._vertices - self._vertices[0]).T
         return float(x @ np.roll(y, -1) - np.roll(x, -1) @ y) / 2
 
     # -- new sets ---------------------------------------------------------------------------------
@@ -408,10 +673,98 @@ def box_directions(n):
     return np.vstack([np.eye(n), -np.eye(n)]) + 0.0
 
 
-def _distinct(points, distance):
-    """One of each group of points that are closer than `distance` to the first of the group."""
+# -- parts --------------------------------------------------------------------------------------------
+
+
+class _Plane(NamedTuple):
+    """What `compiled.polygon` returns."""
+
+    kind: int
+    corners: np.ndarray
+    local: np.ndarray
+    row: np.ndarray
+    offset: np.ndarray
+    unit: np.ndarray
+    extent: float
+
+
+def _float(value, rounding):
+    """The value of an ExactOptimum as a float, by `nearest` or `above`."""
+    return value if isinstance(value, float) else rounding(value)
+
+
+def _units(H, h):
+    """Exponents e (n,) of units 2^e for the coordinates, medians of where rows cut the axes.
+
+    They follow the data: another power of two as the unit of a coordinate, or as the factor of a row, changes e
+    accordingly, or does not change it.
+    """
+    unit, size, offset = np.zeros(H.shape[1], int), np.frexp(H)[1], np.frexp(h)[1]
+    settled = np.zeros(H.shape[1], bool)
+    for j in range(H.shape[1]):
+        cuts = (H[:, j] != 0) & (h != 0)
+        if cuts.any():
+            unit[j], settled[j] = np.sort(offset[cuts] - size[cuts, j])[cuts.sum() // 2], True
+    while not settled.all():  # what no offset settles is settled by rows that it shares with other coordinates
+        shared = (H != 0) & ~settled & ((H != 0) & settled).any(axis=1)[:, None]
+        j = int(np.argmax(shared.any(axis=0)) if shared.any() else np.argmin(settled))
+        if shared.any():
+            top = np.where((H != 0) & settled, size + unit, -(10**6)).max(axis=1)
+            unit[j] = np.sort((top - size[:, j])[shared[:, j]])[shared[:, j].sum() // 2]
+        settled[j] = True
+    return unit
+
+
+def _top(H, unit):
+    """The largest exponent in each row of H, for x in units of 2^unit: array (l,) of int."""
+    return np.where(H != 0, np.frexp(H)[1] + unit, -(10**6)).max(axis=1, initial=-(10**6)) * (H != 0).any(axis=1)
+
+
+def _direction(v, unit):
+    """v for x in units of 2^unit, scaled by a power of two to entries below 1."""
+    return np.ldexp(v, unit - _top(v[None], unit)[0])
+
+
+def _normals(points):
+    """Outward normals of the hull of at least two points (k, 2), each coordinate of which spreads over about 1."""
+    points = points[np.lexsort(points.T[::-1])]
+    ring = points[hull(points, TURN)]
+    if len(ring) < 3:
+        along = points[-1] - points[0]
+        return np.vstack([[[-along[1], along[0]], [along[1], -along[0]]], np.eye(2), -np.eye(2)])
+    along = np.roll(ring, -1, axis=0) - ring
+    return np.column_stack([along[:, 1], -along[:, 0]])
+
+
+def _rows_around(normals, unit, points):
+    """The polytope that touches points (k, n), for given normals in units of 2^unit; it certainly holds them.
+
+    In the plane the sides of their bounding box are added where the normals alone would let a needle reach too far.
+    """
+    top = _top(normals, -unit)
+    H = np.ldexp(normals, -unit - top[:, None])
+    H /= np.linalg.norm(H, axis=1)[:, None]
+    H = np.where(H == 0, 0.0, H)
+    if H.shape[1] == 2:
+        angle = np.sort(np.arctan2(H[:, 1], H[:, 0]))
+        if np.diff(angle, append=angle[0] + 2 * np.pi).max() > WIDE:
+            H = np.vstack([H, np.eye(2), -np.eye(2)])
+    H = np.array([*{row.tobytes(): row for row in H}.values()])
+    exact = np.count_nonzero(H, axis=1) == 1  # rows of the coordinates, whose products do not round
+    terms = np.where(exact, 0, ROUNDING * (np.abs(points) @ np.abs(H).T) + LEAST)
+    return Polytope(H, (points @ H.T + terms).max(axis=0))
+
+
+def _apart(points):
+    """Points (k, n) without those that are one to within rounding; for n = 2 counter-clockwise, corners alone."""
+    spread = np.ptp(np.ldexp(points, -1), axis=0) * 2
+    distance = np.maximum(TOUCH * spread, 2.0**-48 * np.abs(points).max(axis=0))
     kept = []
     for point in points:
-        if all(np.abs(point - other).max() > distance for other in kept):
+        if all((np.abs(point - other) > distance).any() for other in kept):
             kept.append(point)
-    return np.array(kept).reshape(-1, points.shape[1])
+    kept = np.array(kept)
+    if points.shape[1] != 2:
+        return kept
+    local = np.ldexp(kept - kept[0], -np.frexp(spread)[1])
+    return kept[[int(np.flatnonzero((local == corner).all(axis=1))[0]) for corner in around(local)]]
