@@ -1,6 +1,8 @@
-"""Polytopes against scipy: supports by linprog, vertices by qhull, and the algebra of sets on random ones."""
+"""Polytopes against scipy and fractions: supports by linprog, vertices by qhull, decisions by rational elimination."""
 
 import json
+import pickle
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from loops import largest
 from scipy.spatial import ConvexHull, HalfspaceIntersection
+from test_rational import largest as largest_over_vertices
 
 from mireach import Polytope, box_directions, directions
 
@@ -177,6 +180,168 @@ def test_samples_lie_in_the_set(P):
 def test_product_holds_pairs():
     both = Polytope.box([0], [1]).product(Polytope.box([2, 2], [3, 3]))
     assert both.contains([[0.5, 2.5, 3.0]]).all() and not both.contains([0.5, 1.9, 2.5])
+
+
+# -- without rounding ---------------------------------------------------------------------------------
+
+
+def exactly(numbers):
+    """Floats, or rows of them, as Fractions."""
+    return [exactly(one) if np.ndim(one) else Fraction(one) for one in np.asarray(numbers, float).tolist()]
+
+
+def fraction(value):
+    return Fraction(int(value.p), int(value.q))
+
+
+def whole_vector(rng, n, reach=1000):
+    return rng.integers(-reach, reach, n).astype(float)
+
+
+def flat(rng, n):
+    """A set around a point of whole numbers, of which one to n equalities in whole numbers hold."""
+    x, E = whole_vector(rng, n), np.array([whole_vector(rng, n) for _ in range(rng.integers(1, n + 1))])
+    box = np.vstack([np.eye(n), -np.eye(n)])
+    return np.vstack([E, -E, box]), np.concatenate([E @ x, -E @ x, x + 1, 1 - x])
+
+
+def nearly_flat(rng, n):
+    """Rows that nearly oppose each other, at a distance that may be zero or negative."""
+    a, width = rng.normal(size=n), 10.0 ** -rng.integers(3, 17)
+    H = np.vstack([a + width * rng.normal(size=n), -a, -a + width * rng.normal(size=n), np.eye(n), -np.eye(n)])
+    return H, np.concatenate([[width, 0, width * rng.normal()], np.full(2 * n, 1000.0)])
+
+
+def far_away(rng, n):
+    """A box, some of whose sides have no length, far from the origin for its size."""
+    x, reach = whole_vector(rng, n), rng.integers(0, 3, n) * 10.0 ** -rng.integers(0, 8)
+    return np.vstack([np.eye(n), -np.eye(n)]), np.concatenate([x + reach, reach - x])
+
+
+def ordinary(rng, n):
+    """Random rows around or near the origin; often empty."""
+    H = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(3, n))])
+    return H, rng.normal(size=len(H)) + 0.7
+
+
+def in_other_units(rng, H, h):
+    """The rows times positive factors, the coordinates times powers of two: H, h and the exponents."""
+    factors = [np.ones(len(h)), 2.0 ** rng.integers(-900, 900, len(h)), 10.0 ** rng.uniform(-280, 280, len(h))]
+    s, e = factors[rng.integers(3)], rng.integers(-60, 61, H.shape[1])
+    return np.ldexp(H, -e) * s[:, None], h * s, e
+
+
+@pytest.mark.parametrize("make", [flat, nearly_flat, far_away, ordinary])
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_every_decision_is_that_of_rational_elimination(make, n):
+    rng = np.random.default_rng(n)
+    for _ in range((8, 8, 3, 1)[n - 1]):
+        H, h, e = in_other_units(rng, *make(rng, n))
+        P, V = Polytope(H, h), np.vstack([np.ldexp(whole_vector(rng, n, 4), -e), H[:1], np.zeros((1, n))])
+        right = [largest_over_vertices(exactly(H), exactly(h), exactly(v)) for v in V]
+        support, bound, radius = P.support(V), P.bound(V), P.chebyshev()[1]
+        assert P.is_bounded and P.is_empty == (right[0] is None)
+        if P.is_empty:
+            assert (support == -np.inf).all() and (bound == -np.inf).all() and P.point is None
+            assert len(P.vertices()) == 0 and radius <= 0 and P.farthest(V[0]) is None
+            continue
+        assert radius >= 0 and len(P.vertices()) and bound[1] <= h[0]
+        x = [fraction(entry) for entry in P.point]
+        assert all(sum(a * y for a, y in zip(row, x)) <= b for row, b in zip(exactly(H), exactly(h)))
+        lower, upper = P.bounding_box()
+        reach = np.abs(V) @ np.maximum(np.abs(lower), np.abs(upper))
+        for v, value, one, above, size in zip(V, right, support, bound, reach):
+            assert fraction(P.exact_maximum(v).value) == value
+            assert Fraction(above) >= value > Fraction(np.nextafter(above, -np.inf))
+            assert abs(one - float(value)) <= 1e-13 * size
+            assert P.is_subset(Polytope([v], [above]))
+            less = float(np.nextafter(above, -np.inf))
+            assert not P.is_subset(Polytope([v], [less]))
+
+
+@pytest.mark.parametrize("make", [flat, nearly_flat, far_away, ordinary])
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_vertices_move_with_the_units(make, n):
+    rng = np.random.default_rng(10 + n)
+    for _ in range(10):
+        H, h = make(rng, n)
+        e, s = rng.integers(-60, 61, n), 2.0 ** rng.integers(-300, 300, len(h))
+        P, Q = Polytope(H, h), Polytope(np.ldexp(H, -e) * s[:, None], h * s)
+        np.testing.assert_array_equal(Q.vertices(), np.ldexp(P.vertices(), e))
+
+
+def test_inclusion_sees_the_last_bit():
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        P = Polytope(directions(8), 1 + rng.random(8))
+        v = rng.normal(size=(1, 2))
+        right = largest_over_vertices(exactly(P.H), exactly(P.h), exactly(v[0]))
+        above = P.bound(v)
+        assert Fraction(above[0]) >= right > Fraction(np.nextafter(above[0], -9))
+        assert P.is_subset(Polytope(v, above)) and not P.is_subset(Polytope(v, np.nextafter(above, -9)))
+
+
+def test_unbounded_sets_have_bounds_where_they_are_bounded():
+    strip = Polytope([[827.0, 485, -851], [-827, -485, 851]], [3.0, -3.0])
+    V = np.array([[827.0, 485, -851], [-1654, -970, 1702], [1, 0, 0]])
+    assert strip.bound(V).tolist() == strip.support(V).tolist() == [3, -6, np.inf]
+    assert not strip.is_bounded and not strip.is_empty and strip.farthest(V[2]) is None
+    assert strip.is_subset(Polytope(V[:1], [3.0])) and not strip.is_subset(Polytope(V[2:], [1e300]), tol=1)
+
+
+def test_membership_sees_the_last_bit():
+    P = Polytope([[3.0, 1.0]], [1.0])
+    x = np.array([[1 / 3, 0.0], [np.nextafter(1 / 3, 1), 0.0], [1 / 3, 2.0**-60], [np.nan, 0.0], [-np.inf, 0.0]])
+    assert P.contains(x).tolist() == [True, False, True, False, False]
+    assert P.contains(x[1], tol=1e-15) and not P.contains(x[1])
+    large = Polytope([[1e300, 1e300]], [0.0])
+    assert large.contains([1e10, -1e10]) and not large.contains([1e10, -np.nextafter(1e10, 0)])
+    assert P.contains(np.zeros((2, 3, 2))).shape == (2, 3) and P.contains(np.zeros((0, 2))).shape == (0,)
+
+
+def test_a_set_with_its_caches_can_be_pickled():
+    for P in (Polytope.box([0, 0], [1, 1]), Polytope.box([0, 0, 0], [0, 1, 1])):
+        P.vertices(), P.bound(np.eye(P.dimension)), P.is_empty, P.is_bounded
+        Q = pickle.loads(pickle.dumps(P))
+        assert (Q.H == P.H).all() and (Q.vertices() == P.vertices()).all()
+
+
+def nearly_collinear(rng):
+    """Points on a line, but for rounding or a little more; some of them twice."""
+    ends, share = rng.normal(size=(2, 2)) * 10.0 ** rng.integers(-3, 4), rng.random((rng.integers(2, 9), 1))
+    noise = rng.choice([0, 1e-16, 1e-13, 1e-9]) * rng.normal(size=(len(share), 2))
+    points = ends[0] + share * (ends[1] - ends[0]) + noise
+    return np.vstack([points, points[:1]])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_hull_is_bounded_and_holds_its_points_and_little_more(seed):
+    rng = np.random.default_rng(seed)
+    points = nearly_collinear(rng) if seed % 2 else whole_vector(rng, 12, 4).reshape(6, 2)
+    points = np.ldexp(points, rng.integers(-60, 61, 2))
+    P = Polytope.from_points(points)
+    assert P.is_bounded and P.contains(points).all() and all(P.contains(x) for x in points)
+    for x in exactly(points):
+        assert all(sum(a * y for a, y in zip(row, x)) <= b for row, b in zip(exactly(P.H), exactly(P.h)))
+    assert (points @ P.H.T <= P.h).all()
+    V = np.ldexp(directions(16), -np.frexp(np.abs(points).max(axis=0))[1])
+    assert (P.support(V) <= (points @ V.T).max(axis=0) + 1e-12).all()
+    assert (P.vertices() @ V.T).max() <= 2
+
+
+def test_hulls_of_points_and_segments_hold_their_ends():
+    segment = Polytope.from_points([[3, 2.4], [6, 4.8]])
+    assert segment.contains([[3, 2.4], [6, 4.8]]).all() and not segment.contains([[3, 2.5], [6.1, 4.88]]).any()
+    for points in ([[0.1, 0.7]], [[0.1, 0.7]] * 3, [[0.1, 0.7, 0.3]] * 2, [[5.0], [7.0], [6.0]]):
+        P = Polytope.from_points(points)
+        assert P.is_bounded and P.contains(points).all()
+    assert sorted(Polytope.from_points([[5.0], [7.0], [6.0]]).vertices().ravel()) == [5, 7]
+    assert Polytope.from_points([[0.1, 0.7]] * 3).vertices().tolist() == [[0.1, 0.7]]
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        points = np.ldexp(rng.normal(size=(8, 3)), rng.integers(-60, 61, 3))
+        P = Polytope.from_points(points)
+        assert P.is_bounded and P.contains(points).all() and len(P.H) >= 4
 
 
 # -- files and templates ------------------------------------------------------------------------------

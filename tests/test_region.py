@@ -138,3 +138,32 @@ def test_pieces_are_convex_beyond_rounding(seed):
     pieces = mr.Region(shapely.union_all(halves)).pieces
     for i in range(len(pieces)):
         assert len(exact._hull([binary(x) for x in pieces[i]])) == len(pieces[i])
+
+
+# -- units --------------------------------------------------------------------------------------------
+
+
+def operations(s, seed):
+    """What the operations make of random regions in units of s (2,)."""
+    rng = np.random.default_rng(seed)
+    triangles = [s * (rng.uniform(-3, 3, 2) + rng.uniform(-2, 2, (3, 2))) for _ in range(6)]
+    P, Q = mr.Region.of(*triangles[:3]) - mr.Region.of(triangles[0] * 0.5), mr.Region.of(*triangles[3:])
+    D = mr.Polytope.box(-0.25 * s, 0.5 * s)
+    return [P, P | Q, P & Q, P - Q, P.sum(D), P.erode(D), mr.Region.of(mr.Polytope.box(-s, s)), mr.Region.of(*P.pieces)]
+
+
+@pytest.mark.parametrize("power", [(-300, -300), (-60, -60), (-34, -34), (60, 60), (300, 300), (60, -60), (0, 40)])
+@pytest.mark.parametrize("seed", range(3))
+def test_regions_are_the_same_in_all_units(seed, power):
+    s, t = np.ldexp(1.0, power), np.ldexp(1.0, sum(power))
+    for region, same in zip(operations(s, seed), operations(np.ones(2), seed)):
+        assert region.area / t == pytest.approx(same.area, rel=1e-9, abs=1e-9)
+        assert (region.components, region.holes) == (same.components, same.holes)
+        x = grid(6, 31) + 1e-4 * np.sqrt(2)
+        np.testing.assert_array_equal(region.contains(x * s), same.contains(x))
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e200])
+def test_coordinates_that_cannot_be_multiplied_are_refused(size):
+    with pytest.raises(ValueError, match="unit of length"):
+        mr.Region.of(mr.Polytope.box([-size, -size], [size, size]))

@@ -11,7 +11,7 @@ from numba import njit
 EMPTY, DOUBTFUL, FAT = 0, 1, 2  # what `polygon` says of a set: see there
 ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
 LEAST = 1e-290  # covers what they lose where numbers are too small for a float's full precision
-NEEDLE = 1e-5  # two rows of length about 1 meet well if their determinant is at least this
+NEEDLE = 1e-3  # two rows of length about 1 meet well if their determinant is at least this
 
 
 @njit(cache=True)
@@ -84,14 +84,12 @@ def polygon(H, h, parallel, tol):
     -------
     kind : int
         FAT: the set is bounded and has an interior, both certainly, and the vertices are sharp. DOUBTFUL: it may be
-        flat, empty, a needle, or far from the origin for its size. EMPTY: there are no vertices, because the set is
-        empty, perhaps unbounded, or in doubt.
+        flat, empty, a needle, or far from the origin for its size, or vertices are taken for one that may be two.
+        EMPTY: there are no vertices, because the set is empty, perhaps unbounded, or in doubt.
     corners : array (v, 2)
         Counter-clockwise.
     local, row, offset, unit : arrays (v, 2), (l, 2), (l,) and (2,) of int
         The corners and the rows for x in units of 2^unit, rows scaled by powers of two.
-    extent : float
-        In these units no coordinate of the set exceeds it; inf if that is not proven.
     """
     none = np.empty((0, 2))
     unit, row, offset = np.zeros(2, np.int64), np.empty(H.shape), np.empty(len(h))
@@ -100,10 +98,10 @@ def polygon(H, h, parallel, tol):
     far, kind = np.zeros(2), EMPTY
     for attempt in range(3):
         if not _in_units(H, h, unit, row, offset):
-            return EMPTY, none, none, row, offset, unit, np.inf
+            return EMPTY, none, none, row, offset, unit
         kind, local, far = _corners(row, offset, parallel, tol)
         if not len(local):
-            return EMPTY, none, none, row, offset, unit, np.inf
+            return EMPTY, none, none, row, offset, unit
         good = True
         for j in range(2):
             more = math.frexp(far[j])[1]
@@ -112,18 +110,11 @@ def polygon(H, h, parallel, tol):
                 good = False
         if good:
             break
-    corners, extent = np.empty(local.shape), np.inf
+    corners = np.empty(local.shape)
     for k in range(len(local)):
         for j in range(2):
             corners[k, j] = math.ldexp(local[k, j], unit[j])
-    if kind == FAT:
-        most, left = 0.0, 0.0
-        for v0, v1 in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
-            value, rest0, rest1 = _dual(v0, v1, local, row, offset)
-            most, left = max(most, value), max(left, rest0 + rest1)
-        if left < 0.5:
-            extent = most / (1 - left) * (1 + ROUNDING) + LEAST
-    return kind, corners, local, row, offset, unit, extent
+    return kind, corners, local, row, offset, unit
 
 
 @njit(cache=True)
@@ -170,7 +161,7 @@ def _corners(row, offset, parallel, tol):
         for j in range(2):
             far[j] = max(far[j], abs(found[k, j]))
             least[j], most[j] = min(least[j], found[k, j]), max(most[j], found[k, j])
-    size = max(far[0], far[1])
+    size, apart = max(far[0], far[1]), 0.0
     for k in range(count):
         other = 0
         while other < distinct and max(abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1])) > (
@@ -179,11 +170,14 @@ def _corners(row, offset, parallel, tol):
             other += 1
         if other < distinct:
             sine[other] = max(sine[other], sine[k])
+            apart = max(apart, abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1]))
         else:
             found[distinct], sine[distinct] = found[k], sine[k]
             distinct += 1
     local = around(found[:distinct])
-    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any():
+    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any() or size > 2.0**64:
+        return DOUBTFUL, local, far
+    if apart > 2.0**-44 * size:
         return DOUBTFUL, local, far
     x, y = local[:, 0].mean(), local[:, 1].mean()
     for r in range(rows):
@@ -194,7 +188,7 @@ def _corners(row, offset, parallel, tol):
 
 
 @njit(cache=True)
-def tight_pair(v0, v1, local, row, offset):
+def _tight_pair(v0, v1, local, row, offset):
     """A corner that is highest along v, and two rows through it that v lies between, to within rounding: (k, i, j).
 
     i or j is -1 where there is none.
@@ -223,7 +217,7 @@ def _dual(v0, v1, local, row, offset):
 
     Returns y offset and |v - row'y|, both raised by what rounding may have taken from them.
     """
-    _, i, j = tight_pair(v0, v1, local, row, offset)
+    _, i, j = _tight_pair(v0, v1, local, row, offset)
     if i < 0:
         i = j
     if j < 0:
@@ -243,13 +237,39 @@ def _dual(v0, v1, local, row, offset):
 
 
 @njit(cache=True)
-def inclusion(V, w, local, row, offset, unit, extent):
+def _extent(local, row, offset):
+    """A number that no coordinate of a FAT set exceeds; inf where that is not proven.
+
+    With m the largest coordinate, weak duality along the axes bounds m by y offset + |v - row'y| m.
+    """
+    most, left = 0.0, 0.0
+    for v0, v1 in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
+        value, rest0, rest1 = _dual(v0, v1, local, row, offset)
+        most, left = max(most, value), max(left, rest0 + rest1)
+    return most / (1 - left) * (1 + ROUNDING) + LEAST if left < 0.5 else np.inf
+
+
+@njit(cache=True)
+def in_units(v, unit):
+    """v (n,) for x in units of 2^unit, scaled by a power of two to entries below 1."""
+    most, scaled = -10000, np.zeros(len(v))
+    for j in range(len(v)):
+        if v[j] != 0:
+            most = max(most, math.frexp(v[j])[1] + unit[j])
+    for j in range(len(v)):
+        if v[j] != 0:
+            scaled[j] = math.ldexp(v[j], unit[j] - most)
+    return scaled
+
+
+@njit(cache=True)
+def inclusion(V, w, local, row, offset, unit):
     """Whether v x <= w holds in a FAT set of the plane, for each row v of V: array (k,) of 1, of -1 if not, 0 in doubt.
 
     1 is proven by weak duality, -1 by a point inside the set that is beyond the row, both with their rounding counted.
-    `local`, `row`, `offset`, `unit`, `extent` are what `polygon` returns.
+    `local`, `row`, `offset`, `unit` are what `polygon` returns.
     """
-    answer = np.zeros(len(w), np.int64)
+    answer, extent = np.zeros(len(w), np.int64), _extent(local, row, offset)
     x, y = local[:, 0].mean(), local[:, 1].mean()
     for k in range(len(w)):
         most = -10000
@@ -265,7 +285,7 @@ def inclusion(V, w, local, row, offset, unit, extent):
         if value + ROUNDING * abs(value) + LEAST <= limit:
             answer[k] = 1
             continue
-        best, _, _ = tight_pair(v0, v1, local, row, offset)
+        best, _, _ = _tight_pair(v0, v1, local, row, offset)
         x0, x1 = local[best, 0], local[best, 1]
         if v0 * x0 + v1 * x1 - ROUNDING * (abs(v0 * x0) + abs(v1 * x1)) - LEAST <= limit:
             continue
@@ -330,6 +350,26 @@ def hull(points, turn):
             count += 1
         count -= 1  # the last point of a half is the first one of the other
     return chain[: max(count, 1)].copy()
+
+
+@njit(cache=True)
+def membership(x, H, h, tol):
+    """Whether H x <= h + tol, for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
+    answer = np.ones(len(x), np.int64)
+    for k in range(len(x)):
+        for r in range(len(h)):
+            value, terms = 0.0, abs(h[r]) + abs(tol)
+            for j in range(x.shape[1]):
+                value += H[r, j] * x[k, j]
+                terms += abs(H[r, j] * x[k, j])
+            value -= h[r] + tol
+            doubt = (x.shape[1] + 4) * 2.0**-52 * terms + 2.0**-1060
+            if value > doubt:
+                answer[k] = -1
+                break
+            if not value < -doubt:
+                answer[k] = 0
+    return answer
 
 
 # -- cutting one polygon ------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ that scaling rounds nothing); what it cannot decide with certainty is decided ov
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, islice
 from math import comb
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from . import rational
 from .balls import flint
 from .checks import positive_number, real_array, require_columns, require_kind, whole_number
-from .compiled import EMPTY, FAT, around, hull, inclusion, polygon, tight_pair
+from .compiled import EMPTY, FAT, around, hull, in_units, inclusion, membership, polygon
 from .errors import SolverError
 from .lp import LinearProgram
 from .rational import ExactOptimum, above, binary, nearest
@@ -29,8 +29,10 @@ TURN = 1e-12  # points are no corners of a hull where its boundary turns by a sm
 ROUNDING = 2.0**-50  # covers what a sum of a few products rounds off, relative to the sizes of its terms
 LEAST = 2.0**-1060  # covers what products lose that are too small for full precision
 SINGULAR = 1e-8  # n rows of length about 1 whose determinant is below this meet where floats do not tell
-MOST_SINGULAR = 20_000  # of those that `vertices` is willing to look at over the rationals
-WIDE = np.pi - 1e-6  # between the normals of two neighbouring sides: they meet in a needle's tip
+CHUNK = 4_000_000  # numbers that `vertices` handles at a time
+MANY = 256  # rows in the plane up to which all vertices are computed when one is needed
+MOST_SINGULAR = 40_000  # of those that `vertices` is willing to look at over the rationals
+WIDE = np.pi - 1e-2  # between the normals of two neighbouring sides: they meet in a needle's tip
 MOST_VERTEX_CANDIDATES = 2_000_000  # subsets of rows that `vertices` is willing to try
 
 
@@ -66,6 +68,9 @@ class Polytope:
             raise ValueError(f"H has {len(H)} rows but h has {len(h)} entries; each row needs one offset")
         if not H.shape[1]:
             raise ValueError("H has no columns; a polytope needs at least one dimension")
+        if not H.flags.c_contiguous:  # the compiled functions know one layout
+            H = np.ascontiguousarray(H)
+            H.setflags(write=False)
         object.__setattr__(self, "H", H)
         object.__setattr__(self, "h", h)
 
@@ -250,7 +255,8 @@ class Polytope:
         -----
         A float solver proposes n rows that are tight at the maximum. They prove it if the point x at which they meet
         lies in P and v is a sum of their normals with factors y >= 0 (both over the rationals), since then
-        v x = y h. Otherwise the simplex method decides over the rationals, starting from those rows.
+        v x = y h. Otherwise the simplex method decides over the rationals, starting from those rows. Bounded sets of
+        the plane have their vertices computed over the rationals, once.
 
         Examples
         --------
@@ -266,6 +272,8 @@ class Polytope:
         require_columns(v, self.dimension, "v", "the dimension of the polytope")
         if not any(direction):
             return ExactOptimum(-np.inf, None) if self.point is None else ExactOptimum(direction[0], self.point)
+        if self._plane is not None and len(self.h) <= MANY:
+            return self._highest_corner(v, direction)
         rows = self._tight(v)
         proven = self._at(rows, direction)
         return proven or rational.maximize(*self.exact, direction, [r for r in rows if r < len(self.h)])
@@ -276,15 +284,12 @@ class Polytope:
         if self._is_fat:
             two, middle = flint().fmpq(2), binary(self._plane.local.mean(axis=0))
             return tuple(z * two ** int(e) for z, e in zip(middle, self._plane.unit))
-        H, h = self.exact
-        if self._plane is not None:
-            found = [binary(corner) for corner in self._plane.corners[:1]]
-            rows = ()
-        else:
-            rows, found = self._asked(np.zeros(self.dimension))
+        if self._plane is not None and len(self.h) <= MANY:
+            return next(iter(self._meeting_points), None)
+        (H, h), (rows, found) = self.exact, self._asked(np.zeros(self.dimension))
         zero = [flint().fmpq(0)] * self.dimension
         for candidate in found:
-            if all(rational.dot(a, candidate) <= b for a, b in zip(H, h)):
+            if self._holds(candidate):
                 return candidate
         proven = self._at(rows, zero)
         if proven is not None:
@@ -293,6 +298,18 @@ class Polytope:
         if few and rational.maximize([H[r] for r in few], [h[r] for r in few], zero).point is None:
             return None
         return rational.maximize(H, h, zero).point
+
+    def _highest_corner(self, v, direction):
+        """The ExactOptimum of a bounded set of the plane."""
+        corners = [*self._meeting_points]
+        if not corners:
+            return ExactOptimum(-np.inf, None)
+        ahead, size = range(len(corners)), np.abs(self._local_corners).max()
+        if all(1e-290 < abs(entry) < 1e290 or not exact for entry, exact in zip(v, direction)) and size < np.inf:
+            heights = self._local_corners @ _direction(v, self._plane.unit)  # no entry of the direction exceeds 1
+            ahead = np.flatnonzero(heights >= heights.max() - 8 * ROUNDING * size - LEAST).tolist()
+        value, k = max((rational.dot(direction, corners[k]), -k) for k in ahead)
+        return ExactOptimum(value, corners[-k])
 
     def _at(self, rows, direction):
         """The ExactOptimum along a direction, if n rows that may be tight there prove it; else None."""
@@ -371,15 +388,11 @@ class Polytope:
 
     def _tight(self, v):
         """Rows that a float solver proposes as tight at the maximum along v: sorted, n of them if it finds a vertex."""
-        if self.dimension == 1:
-            row, offset, _ = self._scaled
-            ahead = np.flatnonzero(row[:, 0] * v[0] > 0)
-            return (int(ahead[np.argmin(offset[ahead] / np.abs(row[ahead, 0]))]),) if len(ahead) else ()
-        if self._plane is not None:
-            found = self._plane
-            _, i, j = tight_pair(*_direction(v, found.unit), found.local, found.row, found.offset)
-            return tuple(sorted({int(i), int(j)} - {-1}))
-        return self._asked(v)[0]
+        if self.dimension > 1:
+            return self._asked(v)[0]
+        row, offset, _ = self._scaled
+        ahead = np.flatnonzero(row[:, 0] * v[0] > 0)
+        return (int(ahead[np.argmin(offset[ahead] / np.abs(row[ahead, 0]))]),) if len(ahead) else ()
 
     def _asked(self, v):
         """HiGHS's answer along v: rows that are tight (from l on those of x_j = 0), and its point, if it has one."""
@@ -400,8 +413,6 @@ class Polytope:
     @property
     def _contradiction(self):
         """Rows that, says HiGHS, no point satisfies together: a few, or none."""
-        if self._plane is not None:
-            return ()
         lp, x, _ = self._program
         try:
             if lp.maximize(x, np.zeros(self.dimension)).value > -np.inf:
@@ -442,23 +453,20 @@ class Polytope:
         """
         x = np.asarray(x, float)
         require_columns(x, self.dimension, "x", "the dimension of the polytope")
-        with np.errstate(all="ignore"):
-            excess = x @ self.H.T - (self.h + tol)
-            terms = np.abs(x) @ self._sizes[0] + (self._sizes[1] + abs(tol))
-            inside, doubtful = excess <= 0, ~(np.abs(excess) > ROUNDING * terms + LEAST)
-        if doubtful.any():
-            H, h = self.exact
-            limit = binary(tol)
-            for *which, r in np.argwhere(doubtful):
-                point = x[tuple(which)]
-                if np.isfinite(point).all():
-                    inside[(*which, r)] = rational.dot(H[r], binary(point)) <= h[r] + limit
-        return inside.all(axis=-1)
+        rows = np.ascontiguousarray(x.reshape(-1, self.dimension))
+        answer = membership(rows, self.H, self.h, float(tol))
+        inside = answer > 0
+        for k in np.flatnonzero(answer == 0):
+            inside[k] = self._holds_floats(rows[k], tol)
+        return inside[0] if x.ndim == 1 else inside.reshape(x.shape[:-1])
 
-    @cached_property
-    def _sizes(self):
-        """|H|' and |h|."""
-        return np.abs(self.H).T, np.abs(self.h)
+    def _holds_floats(self, x, tol):
+        """Whether a row of floats satisfies H x <= h + tol; False if one of them is not finite."""
+        return bool(np.isfinite(x).all()) and self._holds(binary(x), binary(tol))
+
+    def _holds(self, point, tol=0):
+        """Whether a point of fmpq satisfies H x <= h + tol."""
+        return all(rational.dot(a, point) <= b + tol for a, b in zip(*self.exact))
 
     def is_subset(self, Q, tol=0.0):
         """Whether P lies in Q, h_P(H_Q) <= h_Q, decided without rounding. An empty P lies in every Q.
@@ -473,9 +481,9 @@ class Polytope:
         require_kind(Q, Polytope, "Q")
         if Q.dimension != self.dimension:
             raise ValueError(f"P lies in R^{self.dimension} but Q in R^{Q.dimension}; inclusion needs one space")
-        if self._is_fat and self._plane.extent < np.inf:
+        if self._is_fat:
             found = self._plane
-            answer = inclusion(Q.H, Q.h, found.local, found.row, found.offset, found.unit, found.extent)
+            answer = inclusion(Q.H, Q.h, found.local, found.row, found.offset, found.unit)
             if not tol and answer.min(initial=1) < 0:
                 return False
             rows = np.flatnonzero(answer < 1)
@@ -530,25 +538,47 @@ class Polytope:
             raise ValueError("the polytope is unbounded; intersect it with a box before asking for vertices")
         if comb(len(self.h), n) > MOST_VERTEX_CANDIDATES:
             raise ValueError(f"{len(self.h)} rows in R^{n} are too many to enumerate vertices; use support()")
-        found = {}
-        for rows in self._candidates():
-            point = self._meeting(tuple(rows))[1]
-            if point is not None:
-                found[point] = [nearest(entry) for entry in point]
-        return _apart(np.array([*found.values()]))
+        points = np.array([[nearest(entry) for entry in point] for point in self._meeting_points])
+        if not np.isfinite(points).all():
+            raise ValueError("a vertex lies beyond the largest float; choose another unit, or use exact_maximum()")
+        return _apart(points)
+
+    @cached_property
+    def _meeting_points(self):
+        """The vertices over the rationals: tuples of n fmpq, each once, as the keys of a dict."""
+        points = (self._meeting(tuple(rows))[1] for rows in self._candidates())
+        return {point: None for point in points if point is not None}
+
+    @cached_property
+    def _local_corners(self):
+        """Those of the plane as floats, for x in units of 2^unit: array (v, 2)."""
+        two = [flint().fmpq(2) ** int(-e) for e in self._plane.unit]
+        return np.array(
+            [[nearest(entry * scale) for entry, scale in zip(point, two)] for point in self._meeting_points]
+        )
 
     def _candidates(self):
         """Subsets of n rows that may meet in a point of P: lists of int."""
         row, offset, _ = self._scaled
-        number = np.flatnonzero((row != 0).any(axis=1))
-        subsets = np.array(list(combinations(number, self.dimension)))
-        volume = np.abs(np.linalg.det(row[subsets]))
-        singular = subsets[(volume <= SINGULAR) & (volume > 0)]
-        regular = subsets[volume > SINGULAR]
-        points = np.linalg.solve(row[regular], offset[regular][..., None])[..., 0]
-        terms = np.abs(points) @ np.abs(row).T + np.abs(offset)
-        inside = (points @ row.T - offset <= NEARLY * terms).all(axis=1)
-        return [*regular[inside].tolist(), *singular[:MOST_SINGULAR].tolist()]
+        size = np.abs(row)
+        number = np.flatnonzero(size.any(axis=1))
+        parallel = np.zeros((len(row), len(row)), bool)
+        if ((size > 0) == (self.H != 0)).all() and (size[size > 0] > LEAST).all():  # the scaled rows are not rounded
+            parallel = np.logical_or(*((row[:, None] == sign * row).all(axis=2) for sign in (1, -1)))
+        subsets, found, doubtful = combinations(number.tolist(), self.dimension), [], 0
+        while chunk := [*islice(subsets, CHUNK // len(row) + 1)]:
+            chunk = np.array(chunk)
+            for i, j in combinations(range(self.dimension), 2):
+                chunk = chunk[~parallel[chunk[:, i], chunk[:, j]]]
+            regular = np.abs(np.linalg.det(row[chunk])) > SINGULAR
+            points = np.linalg.solve(row[chunk[regular]], offset[chunk[regular]][..., None])[..., 0]
+            terms = np.abs(points) @ size.T + np.abs(offset)
+            inside = (points @ row.T - offset <= NEARLY * terms).all(axis=1)
+            found += [*chunk[regular][inside].tolist(), *chunk[~regular].tolist()]
+            doubtful += (~regular).sum()
+            if doubtful > MOST_SINGULAR:
+                raise ValueError(f"more than {MOST_SINGULAR} subsets of the rows are nearly singular; use support()")
+        return found
 
     def chebyshev(self):
         """Centre and radius of the largest ball in P: ((n,), float), to within rounding.
@@ -685,7 +715,6 @@ class _Plane(NamedTuple):
     row: np.ndarray
     offset: np.ndarray
     unit: np.ndarray
-    extent: float
 
 
 def _float(value, rounding):
@@ -722,7 +751,7 @@ def _top(H, unit):
 
 def _direction(v, unit):
     """v for x in units of 2^unit, scaled by a power of two to entries below 1."""
-    return np.ldexp(v, unit - _top(v[None], unit)[0])
+    return in_units(np.ascontiguousarray(v, float), unit)
 
 
 def _normals(points):

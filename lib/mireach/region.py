@@ -11,6 +11,9 @@ from .polygons import Polygons
 from .polytope import Polytope
 
 GRID = 1e-13  # of the grid that makes an operation of GEOS sturdy, relative to the largest coordinate: its rounding
+FAR = 16  # exponent of coordinates that are brought near 1 before GEOS multiplies them
+APART = 16  # exponent of the ratio of two coordinates beyond which one grid does not suit both
+LARGEST = 2.0**400  # coordinates whose products GEOS can form
 CERTAIN = 2.0**-50  # a turn is certain beyond this share of its two products, whose differences and products round
 
 
@@ -42,6 +45,7 @@ class Region:
         require_kind(self.shape, shapely.Geometry, "shape")
         if not np.isfinite(shapely.get_coordinates(self.shape)).all():
             raise ValueError("shape holds coordinates that are not finite; a region is bounded")
+        _require_size(shapely.get_coordinates(self.shape))
 
     def __repr__(self):
         return f"Region(area {self.area:.6g}, {self.components} components)"
@@ -216,8 +220,18 @@ def overlay(operation, *shapes):
     -------
     shapely geometry
         In the second case with corners on a grid of `GRID` times the largest coordinate.
+
+    Notes
+    -----
+    Coordinates that are far from 1, or from each other, are brought there by powers of two and back, which rounds
+    nothing: the answer is the same in all units.
     """
-    size = max(1.0, *(np.abs(shapely.get_coordinates(shape)).max(initial=0.0) for shape in shapes))
+    sizes = np.max([np.abs(shapely.get_coordinates(shape)).max(axis=0, initial=0.0) for shape in shapes], axis=0)
+    unit = np.where(sizes > 0, np.frexp(sizes)[1], np.frexp(sizes.max())[1])
+    if np.abs(unit).max() > FAR or abs(unit[0] - unit[1]) > APART:
+        near = overlay(operation, *(shapely.transform(shape, lambda x: np.ldexp(x, -unit)) for shape in shapes))
+        return shapely.transform(near, lambda x: np.ldexp(x, unit))
+    size = sizes.max()
     try:
         found = operation(*shapes)
         if operation not in (shapely.union_all, shapely.union) or _holds(found, np.hstack(shapes), GRID * size):
@@ -259,7 +273,18 @@ def _shape(part):
         part = part.vertices()
     corners = real_array(part, "the corners of a piece", 2)
     require_columns(corners, 2, "the corners of a piece", "for a region lies in the plane")
+    _require_size(corners)
     return shapely.convex_hull(shapely.multipoints(corners)) if len(corners) else shapely.Polygon()
+
+
+def _require_size(points):
+    """Raise ValueError if all coordinates are too small, or some are too large, to be multiplied."""
+    size = np.abs(points).max(initial=0.0)
+    if size and not 1 / LARGEST <= size <= LARGEST:
+        raise ValueError(
+            f"the largest coordinate is {size:.3g}, but regions need one between {1 / LARGEST:.0e} and {LARGEST:.0e}; "
+            "choose another unit of length"
+        )
 
 
 def _polygons(shape):
