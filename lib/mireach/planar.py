@@ -202,10 +202,7 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
         raise ValueError(f"slack must be at least {LEAST_SLACK:g}, above the rounding of GEOS; got {slack:g}")
     units, every = _own(loop)
     found = _maximal(units.loop, every, slack, max_iterations, prove)
-    if found.set is None:
-        own = None
-    else:
-        own = _rescaled(found.set, units.state)
+    own = None if found.set is None else _rescaled(found.set, units.state)
     history = [own if S is found.set else _rescaled(S, units.state) for S in found.history]
     return replace(found, set=own, outer=_rescaled(found.outer, units.state), history=history)
 
@@ -392,19 +389,15 @@ def attractor(loop, safe, *, tolerance=1e-3, max_steps=500):
     covers their rounding. The half-width is 1.5e-11 of the size of X and its image at first. It grows, up to an eighth
     of the tolerance, where a set would have more than 300 corners. `added` says how much was added.
     """
-    given, tolerance, max_steps = (
-        tolerance,
-        _per_axis(tolerance, 2, "tolerance"),
-        whole_number(max_steps, "max_steps", 1),
-    )
+    by_axis, max_steps = _per_axis(tolerance, 2, "tolerance"), whole_number(max_steps, "max_steps", 1)
     S = safe.set if isinstance(safe, (MaximalSafeSet, SafeSet)) else safe
     if S is None:
         raise ValueError(f"there is no safe set to start from: {safe.reason}")
     require_kind(S, (Region, Polytope), "safe")
     units, every = _own(loop)
-    margin, cells, settled, added = tolerance / units.state, hulls(every.cells.polygons), False, 0.0
-    widening, box = CLOSING * _size(every), Polytope.box(-margin, margin)
-    most = max(widening, margin.min() / 8)
+    margin, cells, settled, added = by_axis / units.state, hulls(every.cells.polygons), False, 0.0
+    widening = least = CLOSING * _size(every)
+    most, box = max(least, margin.min() / 8), Polytope.box(-margin, margin)
     with _named_failures("try a larger tolerance, or start from a smaller set"):
         history = [_start(units, S)]
         while not settled and len(history) <= max_steps:
@@ -415,9 +408,11 @@ def attractor(loop, safe, *, tolerance=1e-3, max_steps=500):
                 following = _closed(images, widening)
             history.append(Region(following))
             added += 2 * widening
+            if len(shapely.get_coordinates(following)) < MOST_CORNERS / 2:
+                widening = max(widening / MORE, least)
             settled = history[-2].is_subset(history[-1].sum(box))
     history = [_rescaled(R, units.state) for R in history]
-    tolerance = tolerance if np.ndim(given) else float(tolerance[0])
+    tolerance = by_axis if np.ndim(tolerance) else float(by_axis[0])
     return Attractor(history[-2], len(history) - 2, history, settled, tolerance, added * units.state)
 
 
