@@ -11,7 +11,8 @@
     python3 run.py train CASE         make the data set and the network of CASE from scratch; the cases are pwa,
                                       double_integrator, three_tanks and four_tanks
     python3 run.py seeds CASE         the seed study of pwa or double_integrator, on all cores or with --scheduler
-                                      ADDRESS; with --analyse-only its maximal safe sets alone
+                                      ADDRESS; with --analyse-only its maximal safe sets alone; a study that was
+                                      interrupted is resumed
     python3 run.py bench              benchmarks/
 
 What follows the task is passed on to it: `python3 run.py reproduce --help`.
@@ -22,10 +23,14 @@ import hashlib
 import os
 import subprocess
 import sys
+import time
+from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
+STAMP = VENV / "installed"  # written last: the digest of what was installed
+LOCK = ROOT / ".venv.lock"  # held while .venv is being made
 PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 TASKS = {
     "reproduce": ["-m", "mireach", "reproduce"],
@@ -42,25 +47,78 @@ TASKS = {
 
 
 def set_up():
-    """Make .venv and install, unless the last installation was of the same files."""
+    """Make .venv and install, unless the last installation was of the same files; one process at a time."""
     wanted = hashlib.sha256()
     for name in ("requirements.txt", "pyproject.toml"):
         wanted.update((ROOT / name).read_bytes())
     wanted.update(f"{sys.version} {ROOT}".encode())
-    stamp = VENV / "installed"
-    if PYTHON.exists() and stamp.exists() and stamp.read_text() == wanted.hexdigest():
+    if is_installed(wanted.hexdigest()):
         return
+    with locked(LOCK):
+        if not is_installed(wanted.hexdigest()):  # another process may have done it while this one waited
+            make_environment()
+            STAMP.write_text(wanted.hexdigest())
+
+
+def is_installed(wanted):
+    """Whether .venv was made from what has the digest `wanted`."""
+    return PYTHON.exists() and STAMP.exists() and STAMP.read_text() == wanted
+
+
+def make_environment():
+    """Make .venv anew and install into it."""
     print("setting up .venv (some minutes the first time)", flush=True)
     try:
+        import ensurepip  # noqa: F401 - Debian's python3 comes without it
         import venv
 
         venv.create(VENV, with_pip=True, clear=True)
-    except (ImportError, subprocess.CalledProcessError) as error:
+    except ImportError as error:
         sys.exit(f"cannot make a virtual environment ({error}). On Debian and Ubuntu: apt install python3-venv")
+    except (OSError, subprocess.CalledProcessError) as error:
+        sys.exit(f"cannot make a virtual environment in {VENV}: {error}")
     pip = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     install([*pip, "-r", str(ROOT / "requirements.txt")])
     install([*pip, "--no-deps", "--no-build-isolation", "-e", str(ROOT)])
-    stamp.write_text(wanted.hexdigest())
+
+
+@contextmanager
+def locked(path):
+    """Hold a lock on a file until the block ends, or until this process does; wait for others and say so."""
+    try:
+        file = open(path, "a+b")
+    except OSError as error:
+        sys.exit(f"cannot set up: {error}")
+    with file:
+        if not lock(file, wait=False):
+            print(f"waiting for another process that is setting up .venv (it holds {path.name})", flush=True)
+            lock(file, wait=True)
+        yield
+
+
+def lock(file, wait):
+    """Lock an open file; False if another process holds it and `wait` is False. Closing the file unlocks it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        import msvcrt
+
+        while True:
+            try:
+                file.seek(0)
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+                return True
+            except OSError:
+                if not wait:
+                    return False
+                time.sleep(1)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        return True
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks: set up as if alone
+        return True
 
 
 def install(command):

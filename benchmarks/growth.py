@@ -145,12 +145,9 @@ def main():
     rows, longer = networks(), steps()
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     plotting.plot_growth(figure.subplots(1, 3), rows, longer)
-    for form in ("svg", "png"):
+    for form, options in (("svg", {}), ("png", {"dpi": 150})):
         path = ROOT / "docs" / "figures" / f"growth.{form}"
-        if form == "svg":
-            plotting.save_svg(figure, path, bbox_inches="tight")
-        else:
-            figure.savefig(path, dpi=150, bbox_inches="tight")
+        plotting.save_figure(figure, path, bbox_inches="tight", **options)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,8 @@ import jupytext
 import nbformat
 from nbclient import NotebookClient
 
+from mireach.files import write_whole
+
 FOLDER = Path(__file__).resolve().parent
 CELL_TIMEOUT = 180  # seconds
 
@@ -27,7 +29,7 @@ def build(source):
     ).execute()
     seconds = perf_counter() - begin
     strip(notebook)
-    nbformat.write(notebook, source.with_suffix(".ipynb"))
+    write_whole(source.with_suffix(".ipynb"), nbformat.writes(notebook).rstrip("\n") + "\n")
     return seconds
 
 

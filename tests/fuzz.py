@@ -1,12 +1,14 @@
 """Random loops and sets on which all engines and sampling have to agree: what `test_fuzz.py` and the benchmark run."""
 
+import warnings
 from collections import Counter
+from fractions import Fraction
 
 import numpy as np
-from loops import random_images, random_loop
+from loops import disturbance, enclosing_inputs, exact_highest, random_images, random_loop, replays
 
-from mireach import Polytope, SolverError, box_directions, directions
-from mireach.engines import cells, exact, milp
+import mireach as mr
+from mireach import Polytope, SolverError, SolverStopped, box_directions, directions, support
 
 CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1
 RESOLVED = 1e-6  # what bounds of the MILP may lie above it
@@ -70,7 +72,7 @@ def some_sets(loop, rng):
 
 def size_of(loop):
     """Largest coordinate of R_1(X)."""
-    return np.abs(exact.support(loop, loop.system.state_set, box_directions(2)).bound).max()
+    return np.abs(support(loop, loop.system.state_set, box_directions(2), engine="exact").bound).max()
 
 
 def widened(F, by):
@@ -92,14 +94,14 @@ def disagreements(seed, milp_sets=2):
     size, sets = size_of(loop), list(some_sets(loop, rng))
     for_milp = set(rng.choice(len(sets), milp_sets, replace=False).tolist())
     for number, (kind, F) in enumerate(sets):
-        h = exact.support(loop, F, V).bound
-        bounds = {"exact": (h, 0.0), "cells": (cells.support(loop, F, V).bound, CLOSE)}
+        h = support(loop, F, V, engine="exact").bound
+        bounds = {"exact": (h, 0.0), "cells": (support(loop, F, V, engine="cells").bound, CLOSE)}
         if number in for_milp:
             try:
-                bounds["milp"] = (milp.support(loop, F, V).bound, RESOLVED)
+                bounds["milp"] = (support(loop, F, V, engine="milp").bound, RESOLVED)
             except SolverError:
                 asked["milp without an answer"] += len(V)
-        at = {who: exact.support(loop, widened(F, by), V).bound for who, by in TOUCHING.items()}
+        at = {who: support(loop, widened(F, by), V, engine="exact").bound for who, by in TOUCHING.items()}
         images = random_images(loop, F, rng, SAMPLES) @ V.T
         asked["sampled images"] += len(images)
         for engine, (bound, above) in bounds.items():
@@ -112,3 +114,127 @@ def disagreements(seed, milp_sets=2):
             for k in np.flatnonzero((images > reached + ROUNDED * length * max(1, size)).any(axis=0)):
                 found.append(f"seed {seed}, {kind}, direction {k}: a sampled image passes the bound of {engine}")
     return found, asked
+
+
+# -- badly conditioned loops --------------------------------------------------------------------------
+
+
+def hard_loop(seed):
+    """A small loop with weights of 1e-4 to 1e7, gains to 1e6, up to three inputs, in units of 1e-9 to 1e9."""
+    rng = np.random.default_rng([seed, 14])
+    n, m, hidden, width = int(rng.integers(2, 4)), int(rng.integers(1, 4)), [], 0
+    unit, speed = 10.0 ** rng.uniform(-9, 9, 2)
+    size = n
+    for number in range(int(rng.integers(1, 3))):
+        width, pool = int(rng.integers(1, 3)), int(rng.integers(1, 3))
+        weight = 10.0 ** rng.uniform(-4, 7) * rng.normal(size=(width * pool, size)) / (unit if not number else 1)
+        if rng.random() < 0.3 and number:  # what the layer before says nearly cancels
+            weight[:, -1] = -weight[:, 0] * (1 + 2.0**-30)
+        hidden.append(
+            mr.Layer(weight, np.abs(weight).max() * unit ** (not number) * rng.normal(size=width * pool), pool)
+        )
+        size = width
+    net = mr.MaxoutNetwork(hidden, rng.normal(size=(m, size)), rng.normal(size=m))
+    X = Polytope.box(-unit * rng.uniform(0.5, 1, n), unit * rng.uniform(0.5, 1, n))
+    if rng.random() < 0.5:
+        net = net.saturate(np.full(m, -speed), np.full(m, speed))
+        U = Polytope.box(np.full(m, -speed), np.full(m, speed))
+    else:
+        low, high = enclosing_inputs(net, X)
+        U = Polytope.box(low - 0.1 * np.abs(low), high + 0.1 * np.abs(high))
+    reach = np.abs(U.bounding_box()).max(axis=0)
+    gain, cut = 10.0 ** rng.choice([rng.uniform(-1, 0), rng.uniform(0, 6)]), rng.normal(size=n + m)
+    cut[n:] *= rng.integers(0, 2) * unit / reach
+    offset = cut[:n] @ X.sample(rng, 1)[0]
+    sides = [Polytope(sign * cut[None], [sign * offset]) for sign in (1.0, -1.0)][: int(rng.integers(1, 3))]
+    sides = sides if len(sides) == 2 else [Polytope(np.zeros((1, n + m)), [1.0])]
+    modes = []
+    for side in sides:
+        A = gain * rng.normal(size=(n, n)) * rng.integers(0, 2, (n, n))
+        D = disturbance(rng.choice(["box", "segment", "point", "origin"]), rng, n)
+        D = None if D is None else Polytope(D.H, D.h * 0.3 * unit)
+        modes.append(mr.Mode(A, 0.3 * unit * rng.normal(size=(n, m)) / reach, 0.1 * unit * rng.normal(size=n), side, D))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the region of mode")
+        return rng, mr.ClosedLoop(mr.PWASystem(modes, X, U), net)
+
+
+def hard_sets(loop, rng):
+    """Sets in X: all of it, boxes down to 1e-9 of its size, flat ones, needles, rows of any length."""
+    X, n = loop.system.state_set, loop.system.state_size
+    x, reach = X.sample(rng, 1)[0], np.abs(X.bounding_box()).max(axis=0)
+    yield X
+    width = reach * 10.0 ** rng.uniform(-9, 0, n)
+    box = Polytope.box(np.maximum(x - width, -X.h[n:]), np.minimum(x + width, X.h[:n]))
+    yield box
+    rows = 10.0 ** rng.uniform(-12, 12, len(box.h))
+    yield Polytope(box.H * rows[:, None], box.h * rows)
+    yield Polytope.box(*(np.where(np.arange(n) == 0, x, end) for end in box.bounding_box()))
+    normal = rng.normal(size=n) / reach
+    yield X & Polytope([normal, -normal], [normal @ x + 1e-9, -(normal @ x)])
+
+
+OPTIONS = [
+    {"formulation": formulation, "bounds": bounds}
+    for formulation in ("split", "whole", "paper")
+    for bounds in ("interval", "lp", "tight")
+]
+
+
+def wrong_verdicts(seed, time_limit=20):
+    """What is wrong with the answers about one badly conditioned loop: list of str, and a Counter of the questions.
+
+    No bound lies below what a step attains in fractions; "proven" is not left by such a step (by more than 1e-6 of the
+    size of X for three states), and "refuted" comes with a step that replays in fractions.
+    """
+    rng, loop = hard_loop(seed)
+    n, found, asked, X = loop.system.state_size, [], Counter(), loop.system.state_set
+    V = np.vstack([box_directions(n)[rng.permutation(2 * n)[:2]], rng.normal(size=(1, n))])
+    size, options = np.abs(X.bounding_box()).max(axis=0), OPTIONS[seed % len(OPTIONS)]
+    chosen = rng.permutation(5)[:2].tolist()
+    for number, F in enumerate(hard_sets(loop, rng)):
+        truth, where = exact_highest(loop, F, V), f"seed {seed}, set {number}"
+        asked["supports in fractions"] += sum(value is not None for value in truth)
+        engines = [("cells", {}), ("exact", {})] if n == 2 else []
+        engines += [("milp", options | {"time_limit": time_limit})] if number in chosen else []
+        for engine, given in engines:
+            asked[f"bounds by {engine}"] += len(V)
+            try:
+                bound = support(loop, F, V, engine=engine, **given).bound
+            except SolverStopped as stop:
+                bound = stop.support.bound
+                asked["stopped by the time limit"] += 1
+            except SolverError:
+                asked["without an answer"] += 1
+                continue
+            for k, value in enumerate(truth):
+                if (
+                    value is not None and Fraction(bound[k]) < value
+                    if np.isfinite(bound[k])
+                    else bound[k] < 0 and value is not None
+                ):
+                    found.append(f"{where}, {engine} {given}: {bound[k]!r} < {float(value)!r} along {k}")
+        if number in chosen or n == 2:
+            found += [f"{where}: {text}" for text in _wrong_check(loop, F, size, asked, time_limit)]
+    return found, asked
+
+
+def _wrong_check(loop, F, size, asked, time_limit):
+    """What is wrong with `check_rpi` of F, and whether its "proven" and "refuted" are right."""
+    if F.is_empty:
+        return []
+    given = {} if loop.system.state_size == 2 else {"time_limit": time_limit}
+    try:
+        check = mr.check_rpi(loop, F, **given)
+    except SolverError:
+        asked["without an answer"] += 1
+        return []
+    asked[f"{check.verdict} in {loop.system.state_size} states"] += 1
+    if check.verdict == "refuted":
+        return [] if replays(loop, F, check.escape) else ["refuted by a step that does not replay"]
+    if check.verdict == "proven":
+        slack = 0.0 if loop.system.state_size == 2 else 1e-6 * np.abs(F.H) @ size
+        for value, limit in zip(exact_highest(loop, F, F.H), (F.h + slack).tolist()):
+            if value is not None and value > Fraction(limit):
+                return [f"proven, but a step passes {limit!r} by {float(value - Fraction(limit)):.3g}"]
+    return []

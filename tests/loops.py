@@ -2,6 +2,7 @@
 
 import warnings
 from fractions import Fraction
+from itertools import combinations, product
 
 import numpy as np
 from scipy.optimize import linprog
@@ -257,6 +258,95 @@ def exactly_inside(P, x):
     return all(_exact_dot(row, x) <= Fraction(b) for row, b in zip(P.H.tolist(), P.h.tolist()))
 
 
+def exact_maximum(H, h, c):
+    """max c x over H x <= h as a Fraction, attained by a rational point: (value, x); None if none is found.
+
+    scipy finds which rows are tight; that their meeting lies in all rows and that c is a nonnegative combination of
+    them is then checked without rounding, for other choices of nearly tight rows too.
+    """
+    H, c = [[Fraction(a) for a in row] for row in H], [Fraction(a) for a in c]
+    h, n = [Fraction(b) for b in h], len(c)
+    size = [max(map(abs, row)) or Fraction(1) for row in H]
+    A = np.array([[float(a / k) for a in row] for row, k in zip(H, size)])
+    b = np.array([float(b / k) for b, k in zip(h, size)])
+    top = max(map(abs, c)) or Fraction(1)
+    found = linprog(-np.array([float(a / top) for a in c]), A, b, bounds=(None, None), method="highs-ds")
+    if found.status:
+        return None
+    nearly = np.argsort(b - A @ found.x, kind="stable")[: n + 4].tolist()
+    for chosen in combinations(nearly, n):
+        rows = [H[i] for i in chosen]
+        x, y = solve_exactly(rows, [h[i] for i in chosen]), solve_exactly(list(zip(*rows)), c)
+        if x is None or y is None or min(y) < 0:
+            continue
+        if all(_exact_dot(row, x) <= limit for row, limit in zip(H, h)):
+            return _exact_dot(c, x), x
+    return None
+
+
+def solve_exactly(A, b):
+    """The solution of a square system in Fractions, or None if it is singular (Gauss)."""
+    rows, n = [[*a, right] for a, right in zip(A, b)], len(b)
+    for i in range(n):
+        pivot = next((k for k in range(i, n) if rows[k][i]), None)
+        if pivot is None:
+            return None
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        rows[i] = [entry / rows[i][i] for entry in rows[i]]
+        for k in range(n):
+            if k != i and rows[k][i]:
+                rows[k] = [e - rows[k][i] * f for e, f in zip(rows[k], rows[i])]
+    return [row[-1] for row in rows]
+
+
+def exact_highest(loop, F, V):
+    """What R_1(F) reaches along the rows of V, in Fractions: one exact maximum for every mode and winning channels.
+
+    Each number is attained by a step. Where scipy overlooks a choice, it may lie below h of R_1(F).
+    """
+    n, X = loop.system.state_size, loop.system.state_set
+    rows = [(list(map(Fraction, a)), Fraction(b)) for P in (F, X) for a, b in zip(P.H.tolist(), P.h.tolist())]
+    identity = [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
+    best = [None] * len(V)
+    for K, g, inside in _exact_choices(loop.network.hidden, identity, [Fraction(0)] * n, rows):
+        K, g = _exact_affine(loop.network.weight, loop.network.bias, K, g)
+        for mode in loop.system.modes:
+            H, h = [row for row, _ in inside], [limit for _, limit in inside]
+            of_region, of_h = _exact_affine(mode.region.H[:, n:], -mode.region.h, K, g)
+            H += [[Fraction(a) + b for a, b in zip(row, of_u)] for row, of_u in zip(mode.region.H.tolist(), of_region)]
+            h += [-value for value in of_h]
+            M, c = _exact_affine(mode.B, mode.p, K, g)
+            M = [[Fraction(a) + b for a, b in zip(row, of_u)] for row, of_u in zip(mode.A.tolist(), M)]
+            for k, v in enumerate(V.tolist()):
+                pushed = exact_maximum(mode.disturbance.H.tolist(), mode.disturbance.h.tolist(), v)
+                top = exact_maximum(H, h, [_exact_dot(v, column) for column in zip(*M)])
+                if top is not None and pushed is not None:
+                    value = top[0] + _exact_dot(v, c) + pushed[0]
+                    best[k] = value if best[k] is None else max(best[k], value)
+    return best
+
+
+def _exact_affine(W, b, K, g):
+    """W (K x + g) + b in Fractions: the matrix and the constant."""
+    W, columns = np.asarray(W).tolist(), list(zip(*K))
+    matrix = [[_exact_dot(row, column) for column in columns] for row in W]
+    return matrix, [_exact_dot(row, g) + Fraction(c) for row, c in zip(W, np.asarray(b).tolist())]
+
+
+def _exact_choices(hidden, K, g, rows):
+    """K x + g of the last hidden layer and the rows (a, b), for every choice of winning channels."""
+    if not hidden:
+        yield K, g, rows
+        return
+    layer = hidden[0]
+    Z, z = _exact_affine(layer.weight, layer.bias, K, g)
+    groups = [range(i, i + layer.pool) for i in range(0, len(z), layer.pool)]
+    for won in product(*groups):
+        beaten = [(i, j) for group, j in zip(groups, won) for i in group if i != j]
+        more = [([a - b for a, b in zip(Z[i], Z[j])], z[j] - z[i]) for i, j in beaten]
+        yield from _exact_choices(hidden[1:], [Z[j] for j in won], [z[j] for j in won], rows + more)
+
+
 def exactly_in_triangle(corners, x):
     """Whether a rational point is in the closed triangle with float corners (3, 2)."""
     corners = [[Fraction(value) for value in corner] for corner in corners.tolist()]
@@ -265,6 +355,20 @@ def exactly_in_triangle(corners, x):
         for p, q in zip(corners, corners[1:] + corners[:1])
     ]
     return all(turn >= 0 for turn in turns) or all(turn <= 0 for turn in turns)
+
+
+def replays(loop, F, escape):
+    """Whether a step leads out of the Polytope F without rounding, or its state lies in F and outside X."""
+    x, n = list(map(Fraction, escape.state)), loop.system.state_size
+    if not exactly_inside(F, x):
+        return False
+    if escape.after is None:
+        return not exactly_inside(loop.system.state_set, x)
+    mode, u, d = loop.system.modes[escape.mode], exact_input(loop.network, x), list(map(Fraction, escape.disturbance))
+    rows = zip(mode.A.tolist(), mode.B.tolist(), mode.p.tolist(), d)
+    after = [_exact_dot([*a, *b], [*x, *u]) + Fraction(p) + shift for a, b, p, shift in rows]
+    inside = exactly_inside(loop.system.state_set, x) and exactly_inside(mode.region, [*x, *u])
+    return inside and exactly_inside(mode.disturbance, d) and not exactly_inside(F, after) and len(after) == n
 
 
 def assert_escapes(loop, pieces, escape):
@@ -284,3 +388,36 @@ def assert_escapes(loop, pieces, escape):
 
 def _exact_dot(row, values):
     return sum((Fraction(a) * value for a, value in zip(row, values)), Fraction(0))
+
+
+# -- units --------------------------------------------------------------------------------------------
+
+
+def in_other_units(loop, s, t):
+    """The same loop for x' = s x and u' = t u, powers of two (n,) and (m,): every number is scaled without rounding."""
+    net, system, both = loop.network, loop.system, np.concatenate([s, t])
+    hidden = list(net.hidden)
+    if hidden:
+        hidden[0] = Layer(hidden[0].weight / s, hidden[0].bias, hidden[0].pool)
+    weight = net.weight if hidden else net.weight / s
+    network = MaxoutNetwork(hidden, weight * t[:, None], net.bias * t)
+    modes = [
+        Mode(
+            mode.A * s[:, None] / s,
+            mode.B * s[:, None] / t,
+            mode.p * s,
+            set_in_other_units(mode.region, both),
+            set_in_other_units(mode.disturbance, s),
+        )
+        for mode in system.modes
+    ]
+    X, U = set_in_other_units(system.state_set, s), set_in_other_units(system.input_set, t)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the region of mode")
+        return ClosedLoop(PWASystem(modes, X, U), network)
+
+
+def set_in_other_units(P, s):
+    """{s x : x in P}, each row multiplied by a power of two of its own."""
+    rows = 2.0 ** np.arange(-3, 4)[np.arange(len(P.h)) % 7]
+    return Polytope(P.H / s * rows[:, None], P.h * rows)

@@ -1,6 +1,7 @@
 """Fits and proven errors against dense sampling, closed formulas and the paper's numbers."""
 
 import warnings
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,8 @@ from scipy.optimize import minimize
 pytest.importorskip("flint")
 
 import mireach as mr
-from mireach.approximation import error_directions, fit_pwa, prove_error
+from mireach import approximation
+from mireach.approximation import SMALL, error_directions, fit_pwa, prove_error
 
 X6, U2 = mr.Polytope.box([-6, -6], [6, 6]), mr.Polytope.box([-2], [2])
 NINE = [mr.Polytope.box([k - 2, j - 2, -2], [k + 2, j + 2, 2]) for k in (-4, 0, 4) for j in (-4, 0, 4)]
@@ -198,7 +200,9 @@ def test_the_bound_is_sound_whatever_ends_the_search():
     assert [proof.complete[0] for proof in proofs] == [False, False, False, False, True]
     assert all((after.bound <= before.bound).all() for before, after in pairwise(proofs))
     coarse = prove_error(f, modes, X, U, tol=0.1)
-    assert coarse.complete[0] and coarse.boxes[0] < 0.2 * proofs[-1].boxes[0] and (coarse.gap <= 0.1).all()
+    assert coarse.complete[0] and coarse.boxes[0] < 0.2 * proofs[-1].boxes[0]
+    assert (coarse.gap <= 0.1 * np.maximum(SMALL * coarse.unit, np.abs(coarse.attained))).all()
+    assert coarse.unit.tolist() == [2, 1, 2, 1, 2, 2, 2, 2]  # half-widths of X, rounded down to powers of two
 
 
 def test_a_maximum_inside_and_a_maximum_on_a_slanted_edge():
@@ -226,6 +230,122 @@ def test_one_and_three_states():
     assert error_directions(3).shape == (18, 3) and error_directions(1).tolist() == [[1], [-1]]
     assert fit.proof.bound[0, [1, 4]] == pytest.approx([0.25, 0.25], abs=1e-8)
     assert fit.system().state_size == 3
+
+
+# -- rounding and units ---------------------------------------------------------------------------
+
+
+def test_a_moved_bound_is_rounded_upward():
+    rng = np.random.default_rng(0)
+    for n in (1, 2, 3):
+        directions = np.vstack([error_directions(n), rng.normal(size=(20, n))])
+        for _ in range(50):
+            bound, before, after = rng.normal(size=len(directions)), rng.normal(size=n), rng.normal(size=n)
+            moved = approximation._shift(bound, before, after, directions)
+            for v, old, new in zip(directions, bound, moved):
+                step = sum(Fraction(c) * (Fraction(b) - Fraction(a)) for c, a, b in zip(v, before, after))
+                assert Fraction(old) - step <= Fraction(new) <= np.nextafter(float(Fraction(old) - step), np.inf)
+    assert approximation._shift([-np.inf], [0.1], [0.2], [[1.0]]) == [-np.inf]
+
+
+def test_a_third_is_no_float():
+    X = U = mr.Polytope.box([-1], [1])
+    nearest = mr.Mode([[0.0]], [[0.0]], [1 / 3], X.product(U))
+    third, off = Fraction(1, 3), Fraction(1, 3) - Fraction(1 / 3)
+    for f in (
+        lambda x, u: [third],
+        lambda x, u: [third + 0 * x[0]],
+        lambda x, u: [(x[0] - u[0] + u[0] - x[0]) * 0 + third],
+    ):
+        above, below = prove_error(f, [nearest], X, U).bound[0]
+        assert off <= Fraction(above) < off * (1 + Fraction(1, 2**50)) and -off <= Fraction(below) < 0
+
+
+def test_fractions_may_stand_wherever_numbers_may():
+    X = U = mr.Polytope.box([-1], [1])
+    third = Fraction(1, 3)
+
+    def f(x, u):
+        return [np.sin(third * x[0]) * third + u[0] ** 2 / third - (x[0] + 2) ** third + third / (2 + x[0]) - third]
+
+    def g(x, u):
+        return [np.sin(x[0] / 3) / 3 + u[0] ** 2 * 3 - (x[0] + 2) ** (1 / 3) + 1 / 3 / (2 + x[0]) - 1 / 3]
+
+    fits = [fit_pwa(h, [X.product(U)], X, U) for h in (f, g)]
+    assert fits[0].proven_error == pytest.approx(fits[1].proven_error, abs=1e-12)
+    points = X.product(U).sample(np.random.default_rng(0), 500)
+    errors = [[f([x], [u])[0] - fits[0].modes[0].successor(np.array([x]), np.array([u]))[0]] for x, u in points]
+    assert np.abs(errors).max() <= fits[0].proven_error + ROUNDING
+
+
+WIDE = {
+    "arcsinh": lambda x, u: [np.arcsinh(10 * x[0])],
+    "arctan": lambda x, u: [np.arctan(10 * x[0])],
+    "tanh": lambda x, u: [np.tanh(10 * x[0]) * (1 + u[0] / 9)],
+    "square root": lambda x, u: [np.sqrt(1 + 100 * (x[0] * x[0]))],
+    "quotient": lambda x, u: [x[0] / (1 + 100 * x[0] ** 2)],
+    "fourth power": lambda x, u: [1 / (1 + 100 * x[0] ** 4)],
+    "log cosh": lambda x, u: [np.log(np.cosh(10 * x[0]))],
+    "log1p": lambda x, u: [np.log1p(10 * x[0] ** 2 + u[0] ** 2)],
+}
+
+
+@pytest.mark.parametrize("name", WIDE)
+def test_functions_that_change_much_have_a_finite_bound_from_the_first_box_on(name):
+    X = U = mr.Polytope.box([-1], [1])
+    fit = fit_pwa(WIDE[name], [X.product(U)], X, U, max_boxes=1)
+    assert np.isfinite(fit.proof.bound).all()
+    points = np.array(np.meshgrid(np.linspace(-1, 1, 801), np.linspace(-1, 1, 5))).reshape(2, -1).T
+    tight = fit_pwa(WIDE[name], [X.product(U)], X, U, max_boxes=1000)
+    errors = errors_at(WIDE[name], tight.modes[0], points) @ tight.proof.directions.T
+    assert (errors.max(axis=0) <= tight.proof.bound[0] + ROUNDING).all()
+    assert errors.max(axis=0) == pytest.approx(tight.proof.bound[0], abs=1e-4)
+
+
+UNITS = {
+    "double integrator": (double_integrator, lambda X, U: [X.product(U)]),
+    "slanted regions": (SMOOTH["sine and exponential"], lambda X, U: slabs((1.0, 0.7, 0.3), 0.1)),
+    "products": (SMOOTH["products"], lambda X, U: slabs((0.0, 1.0, 0.0), 0.25)),
+}
+
+
+@pytest.mark.parametrize("name", UNITS)
+@pytest.mark.parametrize("method", ["least_squares", "minimax"])
+@pytest.mark.parametrize(("k", "j"), [(-60, -60), (-60, 60), (-20, 7), (13, 0), (60, 60), (60, -60)])
+def test_other_units_give_the_same_fit_and_the_same_bounds(name, method, k, j):
+    f, make = UNITS[name]
+    s, t = 2.0**k, 2.0**j  # units of x and u
+    X, U = mr.Polytope.box([-2, -1], [2, 1.5]), mr.Polytope.box([-1], [1])
+    regions = make(X, U)
+    columns = np.array([s, s, t])
+    scaled = [mr.Polytope(region.H / columns, region.h) for region in regions]
+
+    def g(x, u):
+        return [s * part for part in f([c / s for c in x], [c / t for c in u])]
+
+    options = {"method": method, "grid": 5, "max_boxes": 300}
+    here = fit_pwa(f, regions, X, U, **options)
+    there = fit_pwa(
+        g, scaled, mr.Polytope.box(*(s * end for end in X.bounding_box())), mr.Polytope.box([-t], [t]), **options
+    )
+    for mode, other in zip(here.modes, there.modes):
+        np.testing.assert_allclose(other.A, mode.A, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(other.B * t / s, mode.B, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(other.p / s, mode.p, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(there.proof.bound / s, here.proof.bound, rtol=1e-8, atol=1e-11)
+    assert (there.proof.complete == here.proof.complete).all() and (there.proof.unit == s * here.proof.unit).all()
+    if name == "double integrator":
+        again = prove_error(
+            g, there.modes, mr.Polytope.box(*(s * end for end in X.bounding_box())), mr.Polytope.box([-t], [t])
+        )
+        np.testing.assert_allclose(again.bound, there.proof.bound, rtol=1e-8, atol=1e-11 * s)
+
+
+def test_numbers_too_far_apart_are_refused():
+    X, U = mr.Polytope.box([-1e-200], [1e-200]), mr.Polytope.box([-1], [1])
+    mode = mr.Mode([[0.0]], [[0.0]], [0.0], mr.Polytope([[1e-200, 1e-7]], [1.0]))
+    with pytest.raises(ValueError, match="choose other units"):
+        prove_error(lambda x, u: [x[0]], [mode], X, U)
 
 
 # -- unusual regions ------------------------------------------------------------------------------

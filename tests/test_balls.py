@@ -1,6 +1,7 @@
 """Jets against sympy's derivatives and mpmath's values, which share no code with them."""
 
 import sys
+from decimal import Decimal
 from fractions import Fraction
 
 import mpmath
@@ -155,6 +156,58 @@ def test_floats_are_the_fractions_that_they_are():
         assert lower_float(third) < upper_float(third) and third.overlaps(ball(1 / 3)) is False
         assert np.nextafter(lower_float(third), 1) == upper_float(third)
         assert upper_float(flint.arb("nan")) == np.inf and lower_float(flint.arb("nan")) == -np.inf
+
+
+REALS = [
+    (Fraction(1, 3), Fraction(1, 3)),
+    (Fraction(10**40 + 1, 7**30), Fraction(10**40 + 1, 7**30)),
+    (Fraction(6, 3), Fraction(2)),
+    (2**200 + 1, Fraction(2**200 + 1)),
+    (True, Fraction(1)),
+    (np.float32(0.1), Fraction(float(np.float32(0.1)))),
+    (np.int64(-7), Fraction(-7)),
+    (np.longdouble(1) / 3, Fraction(*map(int, (np.longdouble(1) / 3).as_integer_ratio()))),
+    (sympy.Rational(1, 3), Fraction(1, 3)),
+    (flint.fmpq(1, 3), Fraction(1, 3)),
+]
+
+
+@pytest.mark.parametrize(("number", "value"), REALS)
+@pytest.mark.parametrize("bits", [53, 128])
+def test_a_ball_contains_the_number_itself_and_not_the_nearest_float(number, value, bits):
+    with precision(bits):
+        found = ball(number)
+    with precision(2000):
+        exact = flint.arb(value.numerator) / value.denominator
+        assert found.overlaps(exact) and abs(found - exact) < abs(exact) * flint.arb(2) ** (2 - bits)
+        assert bits < 128 or found.is_exact() == (value.denominator & (value.denominator - 1) == 0)
+    assert np.isinf(upper_float(ball(np.inf))) and ball(np.nan).is_nan()
+
+
+@pytest.mark.parametrize("number", [Decimal("0.1"), 1j, "1", None, mpmath.mpf(1) / 3 + mpmath.mpf(2) ** -70])
+def test_numbers_without_a_known_exact_value_are_refused_with_what_to_give(number):
+    with mpmath.workdps(50):
+        number = mpmath.mpf(1) / 3 if isinstance(number, mpmath.mpf) else number
+        with pytest.raises(TypeError, match=r"give an int, a float or a fractions\.Fraction"):
+            ball(number)
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(-10, 10), (-1, 3), (1, 10), (-50, -3), (-0.1, 0.1), (0, 2)])
+def test_wide_balls_keep_what_squares_and_increasing_functions_cannot_leave(lower, upper):
+    with precision():
+        x = evaluate(lambda x, u: [x[0]], [interval(lower, upper)], [])[0]
+        largest = max(abs(lower), abs(upper))
+        smallest = 0 if lower <= 0 <= upper else min(abs(lower), abs(upper))
+        for square in (x * x, x**2, x.square(), (x**4).sqrt() if smallest else x**2):
+            assert lower_float(square.value) == pytest.approx(smallest**2, abs=1e-6 * largest**2)
+            assert upper_float(square.value) == pytest.approx(largest**2, rel=1e-6)
+            assert lower_float(square.value) <= smallest**2 and upper_float(square.value) >= largest**2
+        for name in ("tanh", "arcsinh", "arctan"):
+            found, function = getattr(x, name)(), getattr(np, name)
+            assert all(entry.is_finite() for entry in flat(found))
+            assert lower_float(found.value) == pytest.approx(function(lower), abs=1e-6)
+            assert upper_float(found.value) == pytest.approx(function(upper), abs=1e-6)
+            assert lower_float(found.gradient[0]) >= -1e-6 and upper_float(found.gradient[0]) <= 1 + 1e-6
 
 
 def test_precision_is_restored_also_after_an_error():

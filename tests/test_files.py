@@ -1,11 +1,20 @@
 """Files are written whole or not at all, and corrupt ones are named."""
 
 import os
+import shutil
+import subprocess
+import sys
+from functools import partial
 
+import numpy as np
 import pytest
 
+from mireach import MaxoutNetwork, case_studies, seeds
+from mireach.case_studies import NAMES, PAPER, data_file, load_sets
+from mireach.datasets import DataSet
 from mireach.errors import CorruptFileError, MireachError
-from mireach.files import read_json, write_json, write_whole
+from mireach.files import PART, read_json, write_json, write_whole
+from mireach.seeds import load_networks, load_rows
 
 
 def test_text_and_bytes_are_written_in_new_folders(tmp_path):
@@ -65,3 +74,109 @@ def test_corrupt_file_is_named(tmp_path, content, word):
 def test_missing_file_says_so(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_json(tmp_path / "none.json", "f")
+
+
+def test_deeply_nested_json_is_corrupt_and_no_recursion_error(tmp_path):
+    path = tmp_path / "network.json"
+    for text in (
+        "[" * 200_000,
+        "[" * 200_000 + "]" * 200_000,
+        '{"format": "mireach-network/1", "hidden": ' + "[" * 10**5,
+    ):
+        path.write_text(text)
+        with pytest.raises(CorruptFileError, match=r"network\.json"):
+            MaxoutNetwork.load(path)
+    path.write_text('{"format": "mireach-network/1", "output": 1, "hidden": ' + "[" * 900 + "]" * 900 + "}")
+    with pytest.raises(CorruptFileError, match=r"network\.json"):
+        MaxoutNetwork.load(path)
+
+
+# -- every shipped file, cut --------------------------------------------------------------------------
+
+READERS = {
+    "network.json": lambda name, path: MaxoutNetwork.load(path),
+    "samples.csv": lambda name, path: DataSet.load(path),
+    "seeds.csv": lambda name, path: load_rows(path),
+    "seed_networks.jsonl": lambda name, path: load_networks(name),
+    "certificate.json": lambda name, path: load_sets(name),
+}
+SHIPPED = [(name, file) for name in NAMES for file in READERS if not file.startswith("seed") or name in PAPER]
+
+
+@pytest.mark.parametrize(("name", "file"), SHIPPED)
+def test_a_shipped_file_is_refused_wherever_it_is_cut(tmp_path, monkeypatch, name, file):
+    path = tmp_path / file
+    shutil.copy(data_file(name, file), path)
+    for module in (case_studies, seeds):
+        monkeypatch.setattr(module, "data_file", lambda name, file: tmp_path / file)
+    content, read = path.read_bytes(), partial(READERS[file], name, path)
+    read()
+    ends = np.flatnonzero(np.frombuffer(content, np.uint8) == ord("\n"))[:-1] + 1
+    some = ends[np.unique(np.linspace(0, len(ends) - 1, 8).astype(int))] if len(ends) else ends
+    anywhere = np.random.default_rng(0).integers(0, len(content) - 1, 8)
+    for cut in sorted({0, 1, *some, *(some - 1), *(some + 1), *anywhere, len(content) - 2}):
+        path.write_bytes(content[:cut])
+        with pytest.raises(CorruptFileError) as error:
+            read()
+        assert file in str(error.value), cut
+
+
+# -- writers that fail or are killed ------------------------------------------------------------------
+
+
+def test_an_error_names_the_file(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match=r"cannot write .*file/below\.json"):
+        write_json(tmp_path / "file" / "below.json", {})
+
+
+def test_a_file_too_large_for_the_disk_is_named_and_leaves_nothing(tmp_path):
+    resource = pytest.importorskip("resource")  # a limit of the size of files stands for a full disk
+    script = f"""
+import resource, signal
+from matplotlib.figure import Figure
+from mireach.plotting import save_figure
+figure = Figure()
+figure.add_subplot().plot([0, 1])
+for form in ("svg", "png"):
+    save_figure(figure, "{tmp_path}/figure." + form)
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, {resource.RLIM_INFINITY}))
+figure.add_subplot().plot([1, 2])
+for form in ("svg", "png"):
+    try:
+        save_figure(figure, "{tmp_path}/figure." + form)
+    except OSError as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert [f"figure.{form}" in line for form, line in zip(("svg", "png"), done.stdout.splitlines())] == [True, True]
+    assert sorted(os.listdir(tmp_path)) == ["figure.png", "figure.svg"]
+    assert (tmp_path / "figure.svg").read_text().rstrip().endswith("</svg>")
+    assert (tmp_path / "figure.png").read_bytes().endswith(b"IEND\xaeB`\x82")
+
+
+def test_two_writers_at_once_and_a_killed_one_leave_whole_files(tmp_path):
+    path = tmp_path / "figure.svg"
+    script = f"""
+import sys
+from mireach.files import write_whole
+while True:
+    write_whole({str(path)!r}, sys.argv[1] * 2_000_000)
+"""
+    writers = [subprocess.Popen([sys.executable, "-c", script, letter]) for letter in "ab"]
+    try:
+        seen = set()
+        while len(seen) < 2 and all(writer.poll() is None for writer in writers):
+            if path.exists():
+                text = path.read_text()
+                assert len(text) == 2_000_000 and len(set(text)) == 1
+                seen.add(text[0])
+    finally:
+        for writer in writers:
+            writer.kill()
+            writer.wait()
+    text = path.read_text()
+    assert seen == {"a", "b"} and len(text) == 2_000_000 and len(set(text)) == 1
+    assert all(name == path.name or name.endswith(PART) for name in os.listdir(tmp_path))

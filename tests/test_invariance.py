@@ -1,11 +1,14 @@
 """Invariant sets: hand answers for linear loops, and random loops whose trajectories must not leave what is proven."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from loops import affine_loop, assert_replays, brute_support, jump_loop, largest, random_loop, random_successors
 
 import mireach as mr
 from mireach import ClosedLoop, NonlinearSystem, Polytope, PWASystem, box_directions, directions
+from mireach.engines.common import Support
 from mireach.invariance import (
     _growth,
     check_rpi,
@@ -82,20 +85,50 @@ def test_set_whose_boundary_touches_a_jump_is_left_by_the_other_mode():
     assert check.verdict == "refuted" and check.witness.modes.tolist() == [1]
 
 
-def test_bounds_decide_a_proof_and_values_a_refutation(monkeypatch):
-    from mireach.engines.common import Support
+def answering(monkeypatch, bound, value, resolution=0.0):
+    """Let every engine answer with the same bound and value along every row, without a witness."""
 
-    loop, F = contraction(), Polytope.box([-0.5, -0.5], [0.5, 0.5])
+    def support(_loop, _F, V, **_options):
+        k = len(V)
+        return Support(np.full(k, value), np.full(k, bound), (None,) * k, resolution=np.full(k, resolution))
 
-    def engine(bound, value):
-        answer = Support(np.full(4, value), np.full(4, bound), (None,) * 4)
-        monkeypatch.setattr("mireach.invariance.support", lambda *_, **__: answer)
+    monkeypatch.setattr("mireach.settle.support", support)
 
-    for bound, value, verdict in ((0.5, 0.5, "proven"), (0.5 + 1e-9, 0.5, "unknown"), (0.6, 0.55, "refuted")):
-        engine(bound, value)
-        assert check_rpi(loop, F, "cells").verdict == verdict
-    engine(0.5 + 1e-4, 0.5)
-    assert check_rpi(loop, F, "cells", tol=1e-3).verdict == "proven"
+
+@pytest.mark.parametrize(
+    ("bound", "value", "verdict", "settled"),
+    [
+        (0.5, 0.5, "proven", "rounding counted"),
+        (0.5 + 1e-9, 0.5, "proven", "to within 1e-06 of the size of X, rounding counted"),
+        (0.5 + 1e-5, 0.4, "unknown", ""),
+        (0.6, 0.55, "unknown", ""),  # what no step attains without rounding refutes nothing
+    ],
+)
+def test_bounds_decide_a_proof_and_steps_a_refutation(monkeypatch, bound, value, verdict, settled):
+    loop, F = contraction(n=3, p=np.zeros(3)), Polytope.box([-0.5] * 3, [0.5] * 3)
+    answering(monkeypatch, bound, value, 1e-6)
+    check = check_rpi(loop, F, "milp")
+    assert (check.verdict, check.settled) == (verdict, settled)
+
+
+def test_a_safe_set_is_proven_by_bounds_and_not_by_attained_values(monkeypatch):
+    loop = contraction(n=3, p=np.zeros(3))
+    for bound, verdict in ((1.0, "proven"), (1.1, "unknown")):
+        answering(monkeypatch, bound, 0.9)
+        assert safe_set(loop, max_iterations=3).verdict == verdict
+
+
+def test_exact_arithmetic_overrules_a_loose_bound_in_the_plane(monkeypatch):
+    loop, F = contraction(), Polytope.box([-0.5, -0.5], [0.5, 0.5])  # its image has the half-width 0.35
+    found = mr.support(loop, F, BOX)
+    monkeypatch.setattr(
+        "mireach.settle.support",
+        lambda *args, engine, **_: (
+            mr.support(*args, engine=engine) if engine == "exact" else replace(found, bound=found.bound + 1)
+        ),
+    )
+    check = check_rpi(loop, F)
+    assert check.verdict == "proven" and check.settled == "exact arithmetic" and (check.margin > 0.14).all()
 
 
 @pytest.mark.parametrize("engine_options", [{"formulation": "whole", "bounds": "interval", "time_limit": 1e-4}])
@@ -231,7 +264,7 @@ def test_no_rounding_makes_a_set_grow_into_itself():
     for _ in range(200):
         angles = np.array([0, 2, 4]) + rng.uniform(0, 0.5, 3)
         R = Polytope(np.column_stack([np.cos(angles), np.sin(angles)]), rng.uniform(0.5, 2, 3))
-        assert _growth(R, R.support(R.H), R.h, np.zeros(2)) == 1
+        assert _growth(R, R.h, np.zeros(2)) == 1
 
 
 def test_terminal_sets_of_random_loops_are_invariant_reached_and_near_the_limit():
@@ -377,7 +410,7 @@ def test_terminal_set_refuses_the_safe_set_of_another_loop():
     case = mr.case_study("pwa")
     safe = mr.safe_set(case.loop, case.directions)
     stronger = case.loop.with_disturbance(mr.Polytope.box([-3, -3], [3, 3]))
-    with pytest.raises(ValueError, match="not RPI for this loop"):
+    with pytest.raises(ValueError, match="not shown to be RPI for this loop"):
         mr.terminal_set(stronger, safe, case.directions)
 
 

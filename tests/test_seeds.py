@@ -1,6 +1,9 @@
 """The seed study: rows, choice, files, and a run on a Dask cluster."""
 
+import json
 import math
+import os
+import shutil
 from dataclasses import replace
 from functools import partial
 
@@ -12,7 +15,18 @@ from mireach.case_studies import PAPER, case_study, data_file
 from mireach.datasets import make_four_tanks_data
 from mireach.errors import CorruptFileError
 from mireach.planar import maximal_safe_set
-from mireach.seeds import SeedRow, analyse_seed, choose, load_networks, load_rows, save_rows, study
+from mireach.seeds import (
+    SeedRow,
+    analyse_seed,
+    choose,
+    load_networks,
+    load_rows,
+    load_study,
+    run_seed,
+    save_networks,
+    save_rows,
+    study,
+)
 
 ROW = SeedRow(0, 0.01, 100, "proven", 1, -7.3, 9.0, -10.0, 8.52, 50, True, 1.1)
 
@@ -36,6 +50,92 @@ def test_a_truncated_study_is_refused(tmp_path):
         file.write_text(part)
         with pytest.raises(CorruptFileError, match="seed study"):
             load_rows(file)
+
+
+@pytest.fixture
+def shipped_copy(tmp_path, monkeypatch):
+    """The files of case pwa in a folder of their own, from which the package reads."""
+    for file in ("seeds.csv", "seed_networks.jsonl"):
+        shutil.copy(data_file("pwa", file), tmp_path / file)
+    monkeypatch.setattr(seeds, "data_file", lambda name, file: tmp_path / file)
+    return tmp_path
+
+
+def test_networks_cut_at_any_line_or_byte_are_refused(shipped_copy):
+    file = shipped_copy / "seed_networks.jsonl"
+    networks = load_networks("pwa")
+    save_networks(file, {seed: networks[seed] for seed in (3, 4, 5)})
+    lines = file.read_bytes().splitlines(keepends=True)
+    assert set(load_networks("pwa")) == {3, 4, 5} and json.loads(lines[-1]) == {"end": 3}
+    content = b"".join(lines)
+    ends = np.cumsum([len(line) for line in lines[:-1]])
+    for cut in {*range(0, len(content) - 1, 211), *ends, *(ends - 1), *(ends + 1), len(content) - 2}:
+        file.write_bytes(content[:cut])
+        with pytest.raises(CorruptFileError, match="restore it"):
+            load_networks("pwa")
+    for damaged in (lines[:1] + lines[2:], [*lines[:2], lines[1], lines[3]], [*lines, lines[0]]):
+        file.write_bytes(b"".join(damaged))  # a line is missing, or there twice, or after the end
+        with pytest.raises(CorruptFileError):
+            load_networks("pwa")
+
+
+def test_rows_and_networks_of_different_studies_are_refused(shipped_copy):
+    rows, networks = load_study("pwa")
+    save_networks(shipped_copy / "seed_networks.jsonl", {row.seed: networks[row.seed] for row in rows[:-1]})
+    with pytest.raises(CorruptFileError, match="restore both files"):
+        load_study("pwa")
+    with pytest.raises(CorruptFileError, match="restore both files"):
+        seeds.reanalyse("pwa", jobs=1, folder=shipped_copy, progress=False)
+
+
+def test_two_processes_give_what_one_gives(tmp_path):
+    pytest.importorskip("joblib")
+    rows, networks = study("pwa", [4, 3], jobs=2, progress=False, keep=tmp_path, steps=5)
+    here, own = study("pwa", [3, 4], jobs=1, progress=False, steps=5)
+    timeless = {"train_seconds": 0.0, "analysis_seconds": 0.0, "maximal_seconds": 0.0}
+    assert all(same(replace(one, **timeless), replace(two, **timeless)) for one, two in zip(rows, here, strict=True))
+    assert all(networks[seed].to_dict() == own[seed].to_dict() for seed in (3, 4))
+    assert sorted(os.listdir(tmp_path)) == ["3.json", "4.json"]
+
+
+def test_an_interrupted_study_is_resumed_and_gives_what_it_would_have_given(tmp_path, monkeypatch):
+    trained = []
+
+    def stops_at_two(name, seed, **training):
+        trained.append(seed)
+        if seed == 2:
+            raise KeyboardInterrupt
+        return run_seed(name, seed, **training)
+
+    whole, networks = study("pwa", range(4), jobs=1, progress=False, steps=5)
+    monkeypatch.setattr(seeds, "run_seed", stops_at_two)
+    again = partial(study, "pwa", range(4), jobs=1, progress=False, keep=tmp_path, steps=5)
+    with pytest.raises(KeyboardInterrupt):
+        again()
+    assert trained == [0, 1, 2] and sorted(os.listdir(tmp_path)) == ["0.json", "1.json"]
+    content = (tmp_path / "1.json").read_bytes()
+    (tmp_path / "1.json").write_bytes(content[: len(content) // 2])  # such a file is no finished seed
+    monkeypatch.setattr(
+        seeds, "run_seed", lambda name, seed, **rest: (trained.append(seed), run_seed(name, seed, **rest))[1]
+    )
+    rows, kept = again()
+    assert trained == [0, 1, 2, 1, 2, 3]
+    timeless = {"train_seconds": 0.0, "analysis_seconds": 0.0, "maximal_seconds": 0.0}
+    assert all(
+        same(replace(one, **timeless), replace(other, **timeless)) for one, other in zip(rows, whole, strict=True)
+    )
+    assert all(kept[seed].to_dict() == networks[seed].to_dict() for seed in networks)
+    again()
+    assert len(trained) == 6
+    study("pwa", [0], jobs=1, progress=False, keep=tmp_path, steps=6)  # other options: nothing is kept
+    assert trained[6:] == [0]
+
+
+def test_a_finished_study_leaves_no_kept_seeds(tmp_path, monkeypatch):
+    row, network = load_rows(data_file("pwa", "seeds.csv"))[72], load_networks("pwa")[72]
+    monkeypatch.setattr(seeds, "run_seed", lambda name, seed, **training: (replace(row, seed=seed), network))
+    seeds.make_study("pwa", count=2, jobs=1, folder=tmp_path, progress=False)
+    assert sorted(os.listdir(tmp_path)) == ["network.json", "seed_networks.jsonl", "seeds.csv"]
 
 
 def test_choice_prefers_the_paper_s_figures_among_good_losses():
@@ -81,8 +181,7 @@ def test_shipped_study_holds_the_maximal_safe_sets(name):
 def test_analysing_a_study_again_changes_no_other_column(tmp_path, monkeypatch):
     row, network = load_rows(data_file("pwa", "seeds.csv"))[72], load_networks("pwa")[72]
     stale = replace(row, safe_area=0.0, maximal_verdict="", maximal_area=0.0, area_ratio=math.nan)
-    monkeypatch.setattr(seeds, "load_rows", lambda path: [stale])
-    monkeypatch.setattr(seeds, "load_networks", lambda name: {72: network})
+    monkeypatch.setattr(seeds, "load_study", lambda name: ([stale], {72: network}))
     said = seeds.reanalyse("pwa", jobs=1, folder=tmp_path, progress=False)
     (found,) = load_rows(tmp_path / "seeds.csv")
     assert found.maximal_area == pytest.approx(row.maximal_area) and found.area_ratio == pytest.approx(row.area_ratio)

@@ -66,6 +66,35 @@ def shown_numbers(error):
     return [float(number) for number in re.findall(r"-?\d+\.\d+", str(error.value))]
 
 
+@pytest.mark.parametrize("scale", [2.0**-60, 1.0, 2.0**60])
+@pytest.mark.parametrize("width", [2e-7, 1e-12, 2.0**-52])
+def test_a_gap_is_found_however_narrow_and_its_rows_are_named(width, scale):
+    X, far, edge = Polytope.box([-2 * scale] * 2, [2 * scale] * 2), 9 * scale, scale * (1 + width)
+    below, above = Polytope([[1.0, 0, 0], [0, 1, 0]], [far, scale]), Polytope([[-1.0, 0, 0], [0, -1, 0]], [far, -edge])
+    with pytest.raises(
+        ValueError, match=r"between row 2 of mode 1 and row 2 of mode 2, in a gap of width .*same numbers"
+    ):
+        PWASystem([mode(below), mode(above)], X, U)
+
+
+def test_a_boundary_has_to_be_written_with_the_same_numbers():
+    """1/3 as a float lies below one third, so that x1 <= 1/3 and 3 x1 >= 1 leave a gap; the other way they overlap."""
+    third = mode(Polytope([[1.0, 0, 0]], [1 / 3])), mode(Polytope([[-3.0, 0, 0]], [-1.0]))
+    with pytest.raises(ValueError, match="write it with the same numbers"):
+        PWASystem(third, X, U)
+    PWASystem([mode(Polytope([[3.0, 0, 0]], [1.0])), mode(Polytope([[-1.0, 0, 0]], [-1 / 3]))], X, U)
+    short = float(np.float32(0.3))  # lies above 0.3
+    PWASystem([mode(Polytope([[1.0, 0, 0]], [short])), mode(Polytope([[-1.0, 0, 0]], [-0.3]))], X, U)
+    with pytest.raises(ValueError, match="write it with the same numbers"):
+        PWASystem([mode(Polytope([[1.0, 0, 0]], [0.3])), mode(Polytope([[-1.0, 0, 0]], [-short]))], X, U)
+
+
+def test_a_row_of_zeros_bounds_nothing_or_is_refused():
+    PWASystem([mode(Polytope([[0.0, 0, 0], [1, 0, 0]], [0.0, 9]))], X, U)
+    with pytest.raises(ValueError, match="row 2 of region says 0 <= -1"):
+        mode(Polytope([[1.0, 0, 0], [0, 0, 0]], [1.0, -1.0]))
+
+
 def test_regions_need_to_cover_only_what_is_in_the_domain():
     PWASystem([mode(Polytope([[1.0, 0, 0]], [2.0]))], X, U)
     with pytest.raises(ValueError, match="must cover all"):

@@ -89,6 +89,55 @@ def test_nonsense_from_the_page_is_said_and_changes_nothing(lab):
     assert "error" not in lab.picture
 
 
+MALFORMED = [
+    None,
+    5,
+    "look",
+    ["look"],
+    {},
+    {"do": None},
+    {"do": "dance"},
+    {"do": ["look"]},
+    {"do": {"do": "look"}},
+    {"do": "look"},
+    {"do": "look", "stamp": 1},
+    {"do": "look", "settings": {}},
+    {"do": "look", "stamp": "x", "settings": {}},
+    {"do": "look", "stamp": None, "settings": {}},
+    {"do": "look", "stamp": -1, "settings": {}},
+    {"do": "look", "stamp": 1.5, "settings": {}},
+    {"do": "look", "stamp": float("inf"), "settings": {}},
+    {"do": "look", "stamp": 10**400, "settings": {}},
+    {"do": "look", "stamp": 1, "settings": None},
+    {"do": "look", "stamp": 1, "settings": []},
+    {"do": "look", "stamp": 1, "settings": "amount"},
+    {"do": "look", "stamp": 1, "settings": {"bound": 1}},
+    {"do": "look", "stamp": 1, "settings": {1: 1}},
+    {"do": "look", "stamp": 1, "settings": {"amount": None}},
+    {"do": "look", "stamp": 1, "settings": {"amount": {}}},
+    {"do": "look", "stamp": 1, "settings": {"amount": [1]}},
+    {"do": "look", "stamp": 1, "settings": {"amount": "much"}},
+    {"do": "look", "stamp": 1, "settings": {"amount": float("nan")}},
+    {"do": "look", "stamp": 1, "settings": {"amount": 10**400}},
+    {"do": "look", "stamp": 1, "settings": {"network": {}}},
+    {"do": "look", "stamp": 1, "settings": {"centre": None}},
+    {"do": "save"},
+    {"do": "save", "kind": "png"},
+    {"do": "save", "kind": ["figure"]},
+    {"do": "save", "kind": None},
+]
+
+
+@pytest.mark.parametrize("message", MALFORMED)
+def test_malformed_messages_are_shown_and_change_nothing(lab, message):
+    before, shown = lab.settings, lab.picture["safe"]
+    lab._on_message(lab, message, [])
+    assert lab.picture["error"] and len(lab.picture["error"]) < 500
+    assert lab.settings == before and lab.picture["safe"] == shown and not lab.sent
+    ask(lab, do="look", settings=before, stamp=9)
+    assert "error" not in lab.picture and lab.picture["stamp"] == 9
+
+
 def test_settings_may_come_from_code(lab):
     lab.settings = {**lab.settings, "amount": 99}
     assert lab.settings["amount"] == lab.subject.control("amount").high and lab.look.safe.set is None

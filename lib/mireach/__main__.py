@@ -29,7 +29,7 @@ def main(arguments=None):
     task.add_argument("--output", help="folder; default: data/CASE of the checkout")
     task.set_defaults(run=_train)
 
-    task = tasks.add_parser("seeds", parents=[quiet], help="train and analyse many networks, ship the best")
+    task = tasks.add_parser("seeds", parents=[quiet], help="train and analyse many networks, ship the best; resumes")
     task.add_argument("case", choices=tuple(PAPER))
     task.add_argument("--count", type=int, default=50, help="number of seeds, counted from 0")
     task.add_argument("--jobs", type=int, default=-1, help="processes; -1 for all cores")

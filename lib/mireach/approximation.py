@@ -22,10 +22,12 @@ from .system import Mode, NonlinearSystem, PWASystem
 
 METHODS = ("least_squares", "minimax")
 ERRORS = ("box", "polytope", "ball")
-GAP = 1e-9  # proven bound minus attained error at which the search ends; absolute, or relative where that is larger
+GAP = 1e-9  # proven bound minus attained error at which the search ends, as a share of the error
+SMALL = 2.0**-10  # errors below this share of X's size count as this large there: floats do not resolve a share of them
 MAX_BOXES = 4000  # boxes a mode, about 0.3 ms each; a bound is proven whatever ends the search
-INSIDE = 1e-9  # a grid point this far outside a region still belongs to it (units of the region's rows)
-CUTS = 1e-12  # a row that cuts off less of a box than this is not used to tighten its bound
+INSIDE = 1e-9  # a grid point this far outside a region still belongs to it (X x U has the size 1 there)
+CUTS = 1e-12  # a row that cuts off less of a box than this is not used to tighten its bound (the same)
+FLAT = 2.0**-20  # half-widths of X x U below this share of its largest coordinate are taken as this share
 PULL = 1e-10  # share of the way to the region's centre by which points that rounding put outside are moved
 
 
@@ -44,9 +46,12 @@ class ErrorProof:
     boxes : array (s,) of int
         Boxes that were bounded.
     tol : float
-        The difference of the two at which the search was told to end.
+        The difference of the two at which the search was to end, as a share of |attained|, or of `SMALL` times `unit`
+        where that is larger.
     precision : int
         Bits of the ball arithmetic.
+    unit : array (k,)
+        The size of X along each direction: the power of two below the largest |v_i| times half-width i of X.
     """
 
     directions: np.ndarray
@@ -55,6 +60,7 @@ class ErrorProof:
     boxes: np.ndarray
     tol: float
     precision: int
+    unit: np.ndarray
 
     @property
     def gap(self):
@@ -64,7 +70,7 @@ class ErrorProof:
     @property
     def complete(self):
         """Whether the search of each mode ended by its tolerance, array (s,) of bool."""
-        return (self.gap <= self.tol * np.maximum(1, np.abs(self.attained))).all(axis=1)
+        return (self.gap <= self.tol * np.maximum(SMALL * self.unit, np.abs(self.attained))).all(axis=1)
 
     def error_set(self, mode):
         """{d : v d <= bound for every direction v}, or the point 0 for a mode without points."""
@@ -204,7 +210,8 @@ def fit_pwa(
     per_mode : bool
         True gives each mode the error of its own region; False gives all the same set, as the paper does.
     tol : float
-        Gap between proven and attained error to aim at, in units of x; relative where the error exceeds 1.
+        Gap between proven and attained error to aim at, as a share of the error, or of `SMALL` times the half-width of
+        X along the direction (rounded down to a power of two) where that is larger. Units do not matter.
     max_boxes : int
         Boxes a region after which the search ends in any case; the bound is proven nevertheless.
 
@@ -236,9 +243,10 @@ def fit_pwa(
 
     domain, n = system.state_set.product(system.input_set), system.state_set.dimension
     fit = {"least_squares": _least_squares, "minimax": _minimax}[method]
-    points = [_grid_points(domain & region, int(grid)) for region in regions]
+    scale = _scale(system)
+    points = [_grid_points(_in_units(domain & region, scale), int(grid)) * scale for region in regions]
     values = [_values(system.f, z, n, number) for number, z in enumerate(points, start=1)]
-    modes = [_mode(fit, z, y, region) for z, y, region in zip(points, values, regions)]
+    modes = [_mode(fit, z, y, region, scale) for z, y, region in zip(points, values, regions)]
     proof = prove_error(system, modes, tol=tol, max_boxes=max_boxes)
     if method == "minimax":
         modes, proof = _recentred(modes, proof)
@@ -290,6 +298,9 @@ def prove_error(
     that the proof rests on is evaluated in balls. What is trusted: Arb, and HiGHS where it says that a
     region does not meet X x U at all.
 
+    The search measures x and u in units of the half-widths of X and U, and errors in those of X along v, all rounded
+    to powers of two, by which nothing is rounded off.
+
     Quick where f - A x - B u - p has its extremes at isolated points or is quadratic without cross terms,
     as in the paper; slow, and then less tight, where it is extreme along a slanted line such as that of
     sin(x1 + x2), or where it cancels between components without being quadratic.
@@ -302,17 +313,24 @@ def prove_error(
     require_columns(directions, n, "directions", "the state's size")
     if not tol >= 0 or not max_boxes >= 1:
         raise ValueError(f"tol must not be negative and max_boxes at least 1; got {tol!r} and {max_boxes!r}")
-    domain = system.state_set.product(system.input_set)
+    domain, scale = system.state_set.product(system.input_set), _scale(system)
+    unit = _power_below(np.abs(directions * scale[:n]).max(axis=1))
     with precision(bits):
-        found = [_search(_Residual(system.f, m, directions), domain & m.region, tol, max_boxes) for m in modes]
-    bound, attained, boxes = (np.array(part) for part in zip(*found))
+        found = [
+            _search(
+                _Residual(system.f, m, directions, scale, unit), _in_units(domain & m.region, scale), tol, max_boxes
+            )
+            for m in modes
+        ]
+        bound = np.array([[_upper(b, t) for b, t in zip(row, unit)] for row, *_ in found])
+    attained, boxes = np.array([row for _, row, _ in found]) * unit, np.array([number for *_, number in found])
     for number, row in enumerate(bound, start=1):
         if (row == np.inf).any():
             raise ValueError(
                 f"no finite error could be proven in region {number} with {boxes[number - 1]} boxes; f or a "
                 "derivative is not finite there (log or sqrt at 0?), or max_boxes is too small"
             )
-    return ErrorProof(directions, bound, attained, boxes, float(tol), int(bits))
+    return ErrorProof(directions, bound, attained, boxes, float(tol), int(bits), unit)
 
 
 def error_directions(n):
@@ -369,6 +387,61 @@ def _point(n):
     return Polytope.box(np.zeros(n), np.zeros(n))
 
 
+# -- units ----------------------------------------------------------------------------------------
+
+
+def _scale(system):
+    """Powers of two near the half-widths of X x U, by which x and u are divided: array (n+m,)."""
+    ends = [_extent(part) for part in (system.state_set, system.input_set)]
+    lower, upper = (np.concatenate(side) for side in zip(*ends))
+    size = np.maximum(np.abs(lower), np.abs(upper))
+    return _power_below(np.maximum((upper - lower) / 2, FLAT * size))
+
+
+def _extent(P):
+    """Lower and upper ends (n,) of a bounded set: from its own rows where it is a box, which leaves tiny ones exact."""
+    upper, lower = np.full(P.dimension, np.inf), np.full(P.dimension, -np.inf)
+    for row, offset in zip(P.H, P.h):
+        used = np.flatnonzero(row)
+        if len(used) == 1:
+            i, limit = used[0], offset / row[used[0]]
+            upper[i], lower[i] = (min(upper[i], limit), lower[i]) if row[i] > 0 else (upper[i], max(lower[i], limit))
+    return (lower, upper) if np.isfinite(upper - lower).all() else P.bounding_box()
+
+
+def _power_below(sizes):
+    """The largest powers of two that do not exceed positive sizes; 1 for a size of 0."""
+    return np.where(sizes > 0, np.ldexp(0.5, np.frexp(sizes)[1]), 1.0)
+
+
+def _in_units(P, scale):
+    """{z : H (scale z) <= h} for powers of two, each row multiplied by one so that its largest entry is near 1.
+
+    Raises
+    ------
+    ValueError
+        If a number is too large or too small to be multiplied without rounding.
+    """
+    H = _times(P.H, scale)
+    rows = 1 / _power_below(np.abs(H).max(axis=1))
+    return Polytope(_times(H, rows[:, None]), _times(P.h, rows))
+
+
+def _upper(bound, unit):
+    """The float bound * unit, rounded upward; -inf and inf stay."""
+    return upper_float(ball(bound) * ball(unit)) if np.isfinite(bound) else bound
+
+
+def _times(array, powers):
+    """array * powers for powers of two, without rounding; ValueError where that is impossible."""
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        found = array * powers
+        exact = (found / powers == array).all()
+    if not exact:
+        raise ValueError("X x U or a region has numbers too far apart in size for the proof; choose other units")
+    return found
+
+
 # -- fits -----------------------------------------------------------------------------------------
 
 
@@ -396,11 +469,13 @@ def _values(f, points, n, number):
     return values
 
 
-def _mode(fit, points, values, region):
+def _mode(fit, points, values, region, scale):
     """The mode that fits values (N, n) at points (N, n+m); zeros where there are no points."""
     n = values.shape[1]
-    regressors = np.column_stack([points, np.ones(len(points))])
-    theta = fit(regressors, values) if len(points) else np.zeros((regressors.shape[1], n))
+    columns, units = np.append(scale, 1.0), scale[:n]
+    regressors = np.column_stack([points, np.ones(len(points))]) / columns
+    theta = fit(regressors, values / units) if len(points) else np.zeros((regressors.shape[1], n))
+    theta = theta * units / columns[:, None]
     return Mode(theta[:n].T, theta[n:-1].T, theta[-1], region)
 
 
@@ -452,43 +527,49 @@ def _shift(bound, before, after, directions):
 
 
 class _Residual:
-    """v (f(x, u) - A x - B u - p) for the rows v of `directions` (k, n)."""
+    """v (f(x, u) - A x - B u - p) / unit for the rows v of `directions` (k, n), as a function of (x, u) / scale."""
 
-    def __init__(self, f, mode, directions):
-        self.f, self.mode, self.directions = f, mode, directions
+    def __init__(self, f, mode, directions, scale, unit):
+        self.f, self.mode, self.directions, self.scale, self.unit = f, mode, directions, scale, unit
         self.n = len(mode.A)
         self.affine = [[ball(entry) for entry in row] for row in np.column_stack([mode.A, mode.B, mode.p])]
+        self.scales = [ball(s) for s in scale]
+        self.rows = [[ball(c) / ball(t) for c in v] for v, t in zip(directions, unit)]
 
     def at(self, point):
         """Values (k,) in floating point."""
-        x, u = point[: self.n], point[self.n :]
+        z = point * self.scale
+        x, u = z[: self.n], z[self.n :]
         with np.errstate(all="ignore"):
-            return self.directions @ (np.asarray(self.f(x, u), float) - self.mode.successor(x, u))
+            return self.directions @ (np.asarray(self.f(x, u), float) - self.mode.successor(x, u)) / self.unit
 
     def _jets(self, point, order):
-        jets = evaluate(self.f, point[: self.n], point[self.n :], order)
+        """The components of f at a point (n+m,) of balls in units of `scale`."""
+        z = [c * s for c, s in zip(point, self.scales)]
+        jets = evaluate(self.f, z[: self.n], z[self.n :], order)
         if len(jets) != self.n:
             raise ValueError(f"f gives {len(jets)} components, but the state has {self.n} entries")
-        return jets
+        return z, jets
 
     def tangent(self, centre, rows):
         """[e(c), gradient of e at c] for some of the directions, as balls (len(rows), 1 + n+m)."""
-        point = [ball(c) for c in centre]
+        z, jets = self._jets([ball(c) for c in centre], 1)
         table = []
-        for jet, (*slope, offset) in zip(self._jets(point, 1), self.affine):
-            value = jet.value - offset - sum(a * z for a, z in zip(slope, point))
-            table.append([value] + [g - a for g, a in zip(jet.gradient, slope)])
-        return _combine(self.directions[rows], table)
+        for jet, (*slope, offset) in zip(jets, self.affine):
+            value = jet.value - offset - sum(a * c for a, c in zip(slope, z))
+            table.append([value] + [(g - a) * s for g, a, s in zip(jet.gradient, slope, self.scales)])
+        return self._combine(rows, table)
 
     def curvature(self, box, rows):
         """Hessian of e over a box, entries `pairs(n+m)`, for some of the directions."""
-        return _combine(self.directions[rows], [jet.hessian for jet in self._jets(box, 2)])
+        both = [self.scales[i] * self.scales[j] for i, j in pairs(len(self.scales))]
+        _, jets = self._jets(box, 2)
+        return self._combine(rows, [[h * s for h, s in zip(jet.hessian, both)] for jet in jets])
 
-
-def _combine(directions, table):
-    """directions @ table for floats (k, n) and balls (n, c), as nested lists of balls."""
-    matrix = flint().arb_mat
-    return (matrix([[ball(c) for c in v] for v in directions]) * matrix(table)).tolist()
+    def _combine(self, rows, table):
+        """Some rows of directions / unit @ a table (n, c) of balls, as nested lists of balls."""
+        matrix = flint().arb_mat
+        return (matrix([self.rows[k] for k in rows]) * matrix(table)).tolist()
 
 
 class _Rows:
@@ -602,8 +683,8 @@ def _search(residual, part, tol, max_boxes):
 
 def _undecided(bound, attained, tol):
     """Directions (k,) in which a bound still exceeds what is attained by more than the tolerance."""
-    scale = np.where(np.isfinite(attained), np.maximum(1, np.abs(attained)), 1)
-    return bound > attained + tol * scale
+    size = np.where(np.isfinite(attained), np.maximum(SMALL, np.abs(attained)), SMALL)
+    return bound > attained + tol * size
 
 
 def _tighten(box, residual, rows, undecided, attained):

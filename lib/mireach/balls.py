@@ -6,7 +6,7 @@ with a radius that covers all rounding, so an upper end is an upper bound.
 
 from contextlib import contextmanager
 from functools import lru_cache
-from numbers import Integral, Real
+from numbers import Integral, Rational, Real
 
 import numpy as np
 
@@ -60,21 +60,43 @@ def lower_float(ball):
 
 
 def ball(number):
-    """A number as an exact ball; a float is the binary fraction that it is.
+    """A number as a ball that contains it.
+
+    Parameters
+    ----------
+    number : int, float, Fraction, arb, or another real number of Python or numpy
+        A float is the binary fraction that it is and a Fraction the quotient that it is, not the nearest float.
+
+    Returns
+    -------
+    arb
+        Of radius 0 for a float or an int; otherwise the radius covers the rounding to the present precision.
 
     Raises
     ------
     TypeError
-        If it is not a real number.
+        If it is not a real number, or of a type whose exact value cannot be asked for.
     """
-    arb = flint().arb
-    if isinstance(number, arb):
+    module = flint()
+    if isinstance(number, module.arb):
         return number
+    if isinstance(number, (module.fmpz, module.fmpq)):
+        return module.arb(number)
+    if isinstance(number, float):
+        return module.arb(float(number))
     if isinstance(number, Integral):
-        return arb(int(number))
+        return module.arb(int(number))
+    if isinstance(number, Rational):
+        return module.arb(module.fmpq(int(number.numerator), int(number.denominator)))
     if isinstance(number, Real):
-        return arb(float(number))
-    raise TypeError(f"{number!r:.80} of type {type(number).__name__} is not a real number")
+        if number == float(number) or number != number:  # infinite ones and NaN too
+            return module.arb(float(number))
+        if hasattr(number, "as_integer_ratio"):  # numpy's longdouble
+            return module.arb(module.fmpq(*map(int, number.as_integer_ratio())))
+    raise TypeError(
+        f"{number!r:.80} of type {type(number).__name__} is not a real number whose exact value is known; give an int, "
+        "a float or a fractions.Fraction"
+    )
 
 
 def interval(lower, upper):
@@ -123,9 +145,10 @@ class Jet:
     def chain(self, value, first, second):
         """g(self) from g, g' and g'' at self.value."""
         gradient = [first * a for a in self.gradient]
+        g = self.gradient
         hessian = [
-            first * h + second * (self.gradient[i] * self.gradient[j])
-            for (i, j), h in zip(pairs(len(gradient)), self.hessian)
+            first * h + second * (_square(g[i]) if i == j else g[i] * g[j])
+            for (i, j), h in zip(pairs(len(g)), self.hessian)
         ]
         return Jet(value, gradient, hessian)
 
@@ -153,6 +176,8 @@ class Jet:
         return -self + other if _is_operand(other) else NotImplemented
 
     def __mul__(self, other):
+        if other is self:  # tighter than the product of any two numbers of the ball
+            return self.square()
         if isinstance(other, Jet):
             v, w, g, k = self.value, other.value, self.gradient, other.gradient
             hessian = [
@@ -181,7 +206,7 @@ class Jet:
         p, v = ball(exponent), self.value
         if not p.is_integer():
             return self.chain(v**p, p * v ** (p - 1), p * (p - 1) * v ** (p - 2))
-        p = int(float(p))
+        p = int(p.unique_fmpz())
         if p < 0:
             return self.reciprocal() ** -p
         powers = [_whole_power(v, max(p - k, 0)) for k in range(3)]
@@ -203,7 +228,8 @@ class Jet:
 
     def sqrt(self):
         s = self.value.sqrt()
-        return self.chain(s, 1 / (2 * s), -1 / (4 * s * self.value))
+        slope = 1 / (2 * s)
+        return self.chain(s, slope, -slope / (2 * self.value))  # no product of wide balls below a fraction
 
     def exp(self):
         e = self.value.exp()
@@ -237,7 +263,7 @@ class Jet:
 
     def tan(self):
         t = self.value.tan()
-        slope = 1 + t * t
+        slope = 1 + _square(t)
         return self.chain(t, slope, 2 * t * slope)
 
     def sinh(self):
@@ -249,29 +275,29 @@ class Jet:
         return self.chain(c, s, c)
 
     def tanh(self):
-        t = self.value.tanh()
-        slope = 1 - t * t
+        t = _increasing("tanh", self.value)
+        slope = 1 - _square(t)
         return self.chain(t, slope, -2 * t * slope)
 
     def arctan(self):
         v = self.value
-        r = 1 / (1 + v * v)
+        r = 1 / (1 + _square(v))
         return self.chain(v.atan(), r, -2 * v * r * r)
 
     def arcsin(self):
         v = self.value
-        r = 1 / (1 - v * v).sqrt()
+        r = 1 / (1 - _square(v)).sqrt()
         return self.chain(v.asin(), r, v * r * r * r)
 
     def arccos(self):
         v = self.value
-        r = 1 / (1 - v * v).sqrt()
+        r = 1 / (1 - _square(v)).sqrt()
         return self.chain(v.acos(), -r, -v * r * r * r)
 
     def arcsinh(self):
         v = self.value
-        r = 1 / (1 + v * v).sqrt()
-        return self.chain(v.asinh(), r, -v * r * r * r)
+        r = 1 / (1 + _square(v)).sqrt()
+        return self.chain(_increasing("asinh", v), r, -v * r * r * r)
 
     # -- what a ball cannot answer -----------------------------------------------------------------
 
@@ -339,12 +365,27 @@ def _whole_power(v, exponent):
     """v^exponent for a whole number >= 0 by products: Arb's own power of a ball around 0 is not a number."""
     if exponent < 2:
         return v if exponent else ball(1)
-    half = _whole_power(v, exponent // 2)
-    return half * half * v if exponent % 2 else half * half
+    half = _square(_whole_power(v, exponent // 2))
+    return half * v if exponent % 2 else half
+
+
+def _square(v):
+    """v^2; Arb's own v * v of a wide ball also has the products of two different numbers, some of them negative."""
+    if v.is_exact():
+        return v * v
+    low, high = v.abs_lower(), v.abs_upper()
+    return (low * low).union(high * high)
+
+
+def _increasing(name, v):
+    """An increasing function of Arb by its values at the ends; Arb's own tanh and asinh of wide balls say little."""
+    if v.is_exact():
+        return getattr(v, name)()
+    return getattr(v.lower(), name)().union(getattr(v.upper(), name)())
 
 
 def _is_number(value):
-    return isinstance(value, (Real, flint().arb))
+    return isinstance(value, (Real, flint().arb, flint().fmpq, flint().fmpz))
 
 
 def _is_operand(value):

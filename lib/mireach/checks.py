@@ -33,7 +33,7 @@ def whole_number(value, name, least):
     """
     try:
         whole = not isinstance(value, bool) and not isinstance(value, str) and float(value).is_integer()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         whole = False
     if not whole or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}; got {value!r:.80}")

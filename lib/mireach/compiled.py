@@ -1,12 +1,83 @@
 """The inner loops of the plane that are worth compiling.
 
-numba compiles them when they are first used, which takes some seconds, and keeps the result on disk.
+numba compiles them when they are first used, which takes some seconds, and keeps the result on disk: in __pycache__
+beside this file or in the user's cache folder, else in the system's temporary folder. Where nothing can be written,
+every process compiles anew.
 """
 
 import math
+import os
+import stat
+import tempfile
+from functools import lru_cache
+from pathlib import Path
 
+import numba
 import numpy as np
-from numba import njit
+
+
+def njit(cache):
+    """The decorator numba.njit for functions that also work without a place for compiled code.
+
+    Parameters
+    ----------
+    cache : bool
+        Keep compiled code on disk if possible. numba itself raises if it finds no folder that it can write, if the disk
+        is full, or if what it kept cannot be read.
+    """
+
+    def compiled(function):
+        found = _kept(function) if cache else None
+        return numba.njit(function) if found is None else found
+
+    return compiled
+
+
+def _kept(function):
+    """The function compiled and kept on disk, or None where no folder can be written."""
+    try:
+        found = numba.njit(cache=True)(function)
+    except (RuntimeError, OSError):  # numba finds no folder
+        usual = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = _private_folder()
+        try:
+            found = numba.njit(cache=True)(function)
+        except (RuntimeError, OSError):
+            return None
+        finally:
+            numba.config.CACHE_DIR = usual
+    code = getattr(found, "_cache", None)  # there is none where compilation is switched off
+    for name in ("load_overload", "save_overload"):
+        if hasattr(code, name):
+            setattr(code, name, _or_none(getattr(code, name)))
+    return found
+
+
+@lru_cache(maxsize=1)
+def _private_folder():
+    """A temporary folder that nobody else can write, since what is kept there will be run; "" if there is none."""
+    user = os.getuid() if hasattr(os, "getuid") else None
+    try:
+        folder = Path(tempfile.gettempdir()) / f"mireach-{user}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError:
+        return ""
+    own = user is None or (found.st_uid == user and not found.st_mode & 0o077)  # Windows has one such folder per user
+    return str(folder) if own and stat.S_ISDIR(found.st_mode) else ""
+
+
+def _or_none(function):
+    """The same function, with None in place of any error: code that is not kept is compiled anew."""
+
+    def tried(*arguments):
+        try:
+            return function(*arguments)
+        except Exception:
+            return None
+
+    return tried
+
 
 EMPTY, DOUBTFUL, FAT = 0, 1, 2  # what `polygon` says of a set: see there
 ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
@@ -267,7 +338,7 @@ def inclusion(V, w, local, row, offset, unit):
     """Whether v x <= w holds in a FAT set of the plane, for each row v of V: array (k,) of 1, of -1 if not, 0 in doubt.
 
     1 is proven by weak duality, -1 by a point inside the set that is beyond the row, both with their rounding counted.
-    `local`, `row`, `offset`, `unit` are what `polygon` returns.
+    `local`, `row`, `offset`, `unit` are what `polygon` returns. The least of the answers comes first; 1 for no rows.
     """
     answer, extent = np.zeros(len(w), np.int64), _extent(local, row, offset)
     x, y = local[:, 0].mean(), local[:, 1].mean()
@@ -298,7 +369,7 @@ def inclusion(V, w, local, row, offset, unit):
             if inside:
                 answer[k] = -1
                 break
-    return answer
+    return (answer.min() if len(w) else 1), answer
 
 
 @njit(cache=True)
@@ -354,15 +425,15 @@ def hull(points, turn):
 
 @njit(cache=True)
 def membership(x, H, h, tol):
-    """Whether H x <= h + tol, for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
+    """Whether H x <= h + tol, tol (l,), for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
     answer = np.ones(len(x), np.int64)
     for k in range(len(x)):
         for r in range(len(h)):
-            value, terms = 0.0, abs(h[r]) + abs(tol)
+            value, terms = 0.0, abs(h[r]) + abs(tol[r])
             for j in range(x.shape[1]):
                 value += H[r, j] * x[k, j]
                 terms += abs(H[r, j] * x[k, j])
-            value -= h[r] + tol
+            value -= h[r] + tol[r]
             doubt = (x.shape[1] + 4) * 2.0**-52 * terms + 2.0**-1060
             if value > doubt:
                 answer[k] = -1

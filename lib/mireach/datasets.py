@@ -15,6 +15,7 @@ from .errors import CorruptFileError, MireachError
 from .files import END, write_whole
 from .mpc import NonlinearMPC, solve_miqp
 from .plants import double_integrator_plant, four_tanks_plant, pwa_plant, three_tanks_plant
+from .workers import in_parallel
 
 THREE_TANKS_HORIZON, THREE_TANKS_Q, THREE_TANKS_R = 8, (0.1, 0.1, 1.0), 10.0
 FOUR_TANKS_HORIZON, FOUR_TANKS_Q, FOUR_TANKS_R = 20, (1.0, 1.0, 0.1, 0.1), 5.0
@@ -216,12 +217,8 @@ def _collect(states, solve, progress, jobs):
 
 def _in_parallel(states, solve, progress, jobs):
     """Solutions in the order of `states`, a chunk a task."""
-    try:
-        from joblib import Parallel, delayed
-    except ImportError as error:
-        raise ImportError('more than one job needs joblib: pip install "mireach[train]", or jobs=1') from error
     chunks = np.array_split(states, min(len(states), 40))
-    done = Parallel(n_jobs=jobs, return_as="generator")(delayed(solve)(chunk, iter) for chunk in chunks)
+    done = in_parallel(solve, [(chunk, iter) for chunk in chunks], jobs)
     shown = tqdm(done, total=len(chunks), desc="optimal control", unit="chunk", disable=not progress)
     return [solution for part in shown for solution in part]
 

@@ -11,13 +11,13 @@ from time import perf_counter
 
 import numpy as np
 
-from .case_studies import CaseStudy, case_study, data_file, double_integrator_fit
+from .case_studies import CaseStudy, case_study, double_integrator_fit
 from .checks import require_kind
 from .invariance import SafeSet, TerminalSet, safe_set, terminal_set
 from .loop import ClosedLoop
 from .planar import maximal_safe_set
 from .polytope import Polytope, directions
-from .seeds import load_networks, load_rows
+from .seeds import load_study
 from .system import NonlinearSystem
 
 OWN = "own"  # name of a network that is not one of the seed study
@@ -66,12 +66,12 @@ class Control:
         """
         if self.choices:
             if str(value) not in self.choices:
-                raise ValueError(f"{self.name} must be one of {', '.join(self.choices)}; got {value!r}")
+                raise ValueError(f"{self.name} must be one of {', '.join(self.choices)}; got {value!r:.80}")
             return str(value)
         try:
             number = float(value)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{self.name} must be a number; got {value!r}") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"{self.name} must be a number; got {value!r:.80}") from error
         if not np.isfinite(number):
             raise ValueError(f"{self.name} must be finite; got {value!r}")
         number = min(max(number, self.low), self.high)
@@ -119,10 +119,11 @@ class Subject:
         Raises
         ------
         ValueError
-            If there is no such control, or a value is of the wrong kind.
+            If it is no dict, there is no such control, or a value is of the wrong kind.
         """
+        require_kind(settings, dict, "settings")
         known = {control.name: control for control in self.controls}
-        unknown = sorted(set(settings) - set(known))
+        unknown = sorted(f"{name!s:.80}" for name in set(settings) - set(known))
         if unknown:
             raise ValueError(f"there is no control {', '.join(unknown)}; there are {', '.join(known)}")
         return {name: control.settle(settings.get(name, control.default)) for name, control in known.items()}
@@ -552,7 +553,7 @@ def _controls(X, safe_directions, start):
 
 def _networks(case):
     """Some networks of a case by name, from the seed study, and the control that chooses among them."""
-    rows, trained = load_rows(data_file(case.name, "seeds.csv")), load_networks(case.name)
+    rows, trained = load_study(case.name)
     shipped, given = case_study(case.name).network.to_dict(), case.network.to_dict()
     by_loss = sorted(rows, key=lambda row: row.loss)
     proven = [row for row in by_loss if row.verdict == "proven"]

@@ -1,5 +1,7 @@
 """Maxout networks (eqs. NN and maxout of [Teichrib2025]); ReLU and leaky ReLU are special cases."""
 
+import sys
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +11,9 @@ from .errors import CorruptFileError
 from .files import read_json, write_json
 
 FORMAT = "mireach-network/1"
+COMPARED_SIZES = (1e-3, 1.0, 1e3, 1e6)  # of the inputs at which an imported network is compared with its module
+COMPARED_POINTS = 50  # inputs of each size
+UNDERFLOW = 1e-290  # times the machine epsilon, more than the smallest normal number: what underflow may cut off
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +172,9 @@ class MaxoutNetwork:
     def from_torch(module):
         """Import a torch.nn.Sequential of Linear, ReLU, LeakyReLU and this package's Maxout.
 
-        ReLU is the maxout of (z, 0), leaky ReLU that of (z, s z). Nested Sequentials, Identity,
-        Dropout (as in evaluation) and several Linear in a row are understood.
+        ReLU is the maxout of (z, 0), leaky ReLU that of (z, s z). Nested Sequentials, Identity, Dropout and several
+        Linear in a row are understood. Dropout is skipped, as torch does in evaluation, also if the module is in
+        training mode.
 
         Parameters
         ----------
@@ -178,39 +184,55 @@ class MaxoutNetwork:
         Raises
         ------
         ValueError
-            If a module is of another kind, or the sequence does not begin with Linear.
+            If the module is not a torch module, a part is not exactly of one of these types (a subclass may compute
+            something else), a part has hooks or its own forward, the sequence does not begin with Linear, or
+            the network differs from the module at random inputs by more than rounding explains.
+
+        Notes
+        -----
+        The comparison runs a copy of the module in double precision and evaluation mode, at inputs of several sizes.
         """
+        torch = sys.modules.get("torch")  # whoever has a torch module has imported torch
+        if torch is None or not isinstance(module, torch.nn.Module):
+            raise ValueError(
+                f"the network must be a MaxoutNetwork or a torch module; got {type(module).__name__} {module!r:.60}. "
+                "A function cannot be imported: give its weights, as MaxoutNetwork([Layer(weight, bias, pool), ...], "
+                "weight, bias), or train a network on its values by mireach.training.train"
+            )
+        from .training import Maxout
+
+        nn = torch.nn
+        parts = _flatten(module, nn.Sequential, (nn.Linear, nn.ReLU, nn.LeakyReLU, Maxout, nn.Identity, nn.Dropout))
         hidden, weight, bias = [], None, None
-        for part in _flatten(module):
-            kind = type(part).__name__
-            if kind in ("Identity", "Dropout"):
+        for part in parts:
+            kind = type(part)
+            if kind in (nn.Identity, nn.Dropout):
                 continue
-            if kind == "Linear":
-                W, b = _linear(part)
+            if kind is nn.Linear:
+                W, b = _linear(part, torch)
                 if weight is None:
                     weight, bias = W, b
                 else:
                     require_columns(W, len(weight), f"weight of {part}", "the values before it")
-                    weight, bias = W @ weight, W @ bias + b
+                    with np.errstate(over="ignore", invalid="ignore"):  # Layer refuses what is not finite
+                        weight, bias = W @ weight, W @ bias + b
                 continue
             if weight is None:
-                raise ValueError(f"{kind} comes before the first Linear; begin with torch.nn.Linear")
-            if kind == "Maxout":
+                raise ValueError(f"{kind.__name__} comes before the first Linear; begin with torch.nn.Linear")
+            if kind is Maxout:
                 hidden.append(Layer(weight, bias, part.pool))
-            elif kind in ("ReLU", "LeakyReLU"):
-                slope = 0.0 if kind == "ReLU" else part.negative_slope
+            else:
+                slope = 0.0 if kind is nn.ReLU else float(part.negative_slope)
                 if not 0 <= slope <= 1:
                     raise ValueError(f"LeakyReLU has negative_slope {slope}; only 0 to 1 is a maximum of (z, s z)")
                 pair = np.stack([weight, slope * weight], axis=1).reshape(-1, weight.shape[1])
                 hidden.append(Layer(pair, np.stack([bias, slope * bias], axis=1).ravel(), pool=2))
-            else:
-                raise ValueError(
-                    f"cannot import {kind}: use Linear, ReLU, LeakyReLU, Maxout, Dropout or Identity in a Sequential"
-                )
             weight, bias = np.eye(hidden[-1].width), np.zeros(hidden[-1].width)
         if weight is None:
             raise ValueError("the module holds no Linear layer, so it has no weights to import")
-        return MaxoutNetwork(hidden, weight, bias)
+        network = MaxoutNetwork(hidden, weight, bias)
+        _compare(network, module, parts, torch)
+        return network
 
     # -- files ------------------------------------------------------------------------------------
 
@@ -268,15 +290,90 @@ def _per_output(limit, name, count):
     return np.broadcast_to(limit, count)
 
 
-def _flatten(module):
-    """The parts of nested Sequentials, in order."""
-    if type(module).__name__ != "Sequential":
+def _flatten(module, sequential, kinds):
+    """The parts of nested Sequentials, in order, each exactly of one of `kinds` and as its class made it.
+
+    Raises
+    ------
+    ValueError
+        If a part is of another type, or has hooks or a forward of its own, which may change what it computes.
+    """
+    kind = type(module)
+    if kind not in (sequential, *kinds):
+        raise ValueError(
+            f"cannot import {kind.__name__} ({kind.__module__}.{kind.__qualname__}): use Linear, ReLU, LeakyReLU, "
+            "Dropout or Identity of torch.nn and mireach.training.Maxout in a torch.nn.Sequential. A subclass or a "
+            "class of the same name may compute something else. Remove parametrizations, quantization and wrappers "
+            "such as torch.compile first, and pass the Sequential instead of a module that holds it"
+        )
+    if module._forward_hooks or module._forward_pre_hooks:
+        raise ValueError(
+            f"{kind.__name__} has forward hooks, which may change its output; remove them (a weight norm by "
+            "torch.nn.utils.remove_weight_norm, pruning by torch.nn.utils.prune.remove) and import it again"
+        )
+    if "forward" in vars(module):
+        raise ValueError(f"forward of {kind.__name__} was replaced; import a module with the forward of its class")
+    if kind is not sequential:
         return [module]
-    return [part for child in module for part in _flatten(child)]
+    return [part for child in module for part in _flatten(child, sequential, kinds)]
 
 
-def _linear(part):
+def _linear(part, torch):
     """Weight and bias of a torch Linear as float64 arrays."""
-    weight = part.weight.detach().cpu().double().numpy()
-    bias = np.zeros(len(weight)) if part.bias is None else part.bias.detach().cpu().double().numpy()
-    return real_array(weight, f"weight of {part}", 2), real_array(bias, f"bias of {part}", 1)
+    arrays = []
+    for name, ndim in (("weight", 2), ("bias", 1)):
+        value = getattr(part, name)
+        if name == "bias" and value is None:
+            arrays.append(np.zeros(len(arrays[0])))
+            continue
+        plain = type(value) is torch.nn.Parameter and value.layout is torch.strided and not value.is_meta
+        if not plain or not value.is_floating_point():
+            what = f"{type(value).__name__} of {getattr(value, 'dtype', 'no dtype')}"
+            raise ValueError(
+                f"{name} of {part} must be a dense torch.nn.Parameter of floating-point numbers; got a {what}. Give it "
+                "the plain values (dequantized, dense, real, not on the meta device)"
+            )
+        arrays.append(real_array(value.detach().cpu().double().numpy(), f"{name} of {part}", ndim))
+    return arrays
+
+
+def _compare(network, module, parts, torch):
+    """Raise ValueError if the network and the module differ at random inputs by more than rounding explains."""
+    copy = deepcopy(module).cpu().double().eval()
+    rng = np.random.default_rng(0)
+    sizes = np.repeat([0.0, *COMPARED_SIZES], COMPARED_POINTS)
+    x = sizes[:, None] * rng.normal(size=(len(sizes), network.input_size))
+    with torch.no_grad():
+        there = copy(torch.tensor(x)).numpy()
+    if there.shape != (len(x), network.output_size):
+        raise ValueError(
+            f"the module gives shape {there.shape} for {len(x)} inputs, not {network.output_size} numbers each"
+        )
+    with np.errstate(over="ignore", invalid="ignore"):
+        here, limit = network(x), _rounding(parts, x, torch)
+        wrong = ~(np.abs(here - there) <= limit) & np.isfinite(limit)
+    if wrong.any():
+        point = np.flatnonzero(wrong.any(axis=-1))[0]
+        raise ValueError(
+            f"the imported network gives {here[point].tolist()} at x = {x[point].tolist()}, but the module gives "
+            f"{there[point].tolist()}; rounding explains {limit[point].max():.2g}. Something changes what the module "
+            "computes, such as a global hook or a replaced class method; remove it"
+        )
+
+
+def _rounding(parts, x, torch):
+    """How far two evaluations of the parts at x (N, n) may differ by rounding: array (N, m).
+
+    Either has an error of at most about (operations) eps |W_k| (... (|W_1| |x| + |b_1|) ...) + |b_k|.
+    """
+    from .training import Maxout
+
+    size, operations = np.abs(x), 8
+    for part in parts:
+        if type(part) is torch.nn.Linear:
+            W, b = _linear(part, torch)
+            size = (size + UNDERFLOW) @ np.abs(W).T + np.abs(b)
+            operations += 2 * (W.shape[1] + 2)
+        elif type(part) is Maxout:
+            size = size.reshape(len(size), -1, part.pool).max(axis=-1)
+    return operations * np.finfo(float).eps * (size + UNDERFLOW)

@@ -4,10 +4,13 @@ Colours are from the Okabe-Ito palette, and every kind of set also differs by li
 figures can be read in grey.
 """
 
+import io
 from itertools import pairwise
+from pathlib import PurePath
 
 import numpy as np
 
+from .files import write_whole
 from .region import Region
 
 try:
@@ -104,9 +107,27 @@ def legend_above(ax, columns):
 
 
 def save_svg(figure, file, **options):
-    """Write a figure as SVG; the same figure gives the same file."""
+    """Write a figure as SVG to an open file; the same figure gives the same content."""
     with rc_context({"svg.hashsalt": "mireach"}):
         figure.savefig(file, format="svg", metadata={"Date": None}, **options)
+
+
+def save_figure(figure, path, **options):
+    """Write a figure to a file, whole or not at all; what `path` ends in, such as .svg or .png, is the format.
+
+    Parameters
+    ----------
+    figure : matplotlib Figure
+    path : str or pathlib.Path
+    **options
+        Of `Figure.savefig`.
+    """
+    kind, content = PurePath(path).suffix[1:], io.BytesIO()
+    if kind == "svg":
+        save_svg(figure, content, **options)
+    else:
+        figure.savefig(content, format=kind, **options)
+    write_whole(path, content.getvalue())
 
 
 def plot_sequence(ax, system, safe, terminal):

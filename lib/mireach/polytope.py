@@ -184,12 +184,14 @@ class Polytope:
 
         Notes
         -----
-        In the plane a maximum over the vertices, unless the set is flat, a needle, or far from the origin for its
-        size. Otherwise one `exact_maximum` a row. Sec. I.A of [Teichrib2025].
+        In the plane a maximum over the vertices, which are computed over the rationals if the set is flat, a needle, or
+        far from the origin for its size. Otherwise one `exact_maximum` a row. Sec. I.A of [Teichrib2025].
         """
         V = self._directions(V)
-        if self._is_fat:
-            return (V @ self._vertices.T).max(axis=1)
+        if self._plane is not None and self._plane.kind == FAT:
+            return (V @ self._plane.corners.T).max(axis=1)
+        if self._plane is not None and len(self.h) <= MANY and np.isfinite(self._nearest_corners).all():
+            return (V @ self._nearest_corners.T).max(axis=1, initial=-np.inf)
         return np.array([_float(self.exact_maximum(v).value, nearest) for v in V])
 
     def bound(self, V):
@@ -361,7 +363,7 @@ class Polytope:
         found = _Plane(*polygon(self.H, self.h, PARALLEL, TOUCH))
         return found if found.kind != EMPTY else None
 
-    @cached_property
+    @property
     def _is_fat(self):
         """True if P lies in the plane and its vertices are certain: bounded, with an interior, and no needle."""
         return self._plane is not None and self._plane.kind == FAT
@@ -443,30 +445,37 @@ class Polytope:
         Parameters
         ----------
         x : array (n,) or (N, n)
-        tol : float
-            In units of h. The default asks for the closed set itself; a computed vertex is inside
-            only to within rounding, 1e-9 is ample for it in units in which the set has a size of about 1.
+        tol : float or array (l,)
+            In units of h, for all rows or for each. The default asks for the closed set itself; a computed vertex is
+            inside only to within rounding, 1e-9 is ample for it in units in which the set has a size of about 1.
 
         Returns
         -------
         bool, or array (N,) of bool
         """
-        x = np.asarray(x, float)
+        x, tol = np.asarray(x, float), np.full(len(self.h), tol, float)
         require_columns(x, self.dimension, "x", "the dimension of the polytope")
-        rows = np.ascontiguousarray(x.reshape(-1, self.dimension))
-        answer = membership(rows, self.H, self.h, float(tol))
+        if not x.flags.c_contiguous:
+            x = np.ascontiguousarray(x)
+        if x.ndim == 1:
+            answer = membership(x[None], self.H, self.h, tol)[0]
+            return bool(answer > 0 or (answer == 0 and self._holds_floats(x, tol)))
+        rows = x.reshape(-1, self.dimension)
+        answer = membership(rows, self.H, self.h, tol)
         inside = answer > 0
         for k in np.flatnonzero(answer == 0):
             inside[k] = self._holds_floats(rows[k], tol)
-        return inside[0] if x.ndim == 1 else inside.reshape(x.shape[:-1])
+        return inside.reshape(x.shape[:-1])
 
     def _holds_floats(self, x, tol):
         """Whether a row of floats satisfies H x <= h + tol; False if one of them is not finite."""
         return bool(np.isfinite(x).all()) and self._holds(binary(x), binary(tol))
 
-    def _holds(self, point, tol=0):
-        """Whether a point of fmpq satisfies H x <= h + tol."""
-        return all(rational.dot(a, point) <= b + tol for a, b in zip(*self.exact))
+    def _holds(self, point, tol=None):
+        """Whether a point of fmpq satisfies H x <= h + tol, for tol (l,) of fmpq."""
+        H, h = self.exact
+        limits = h if tol is None else [b + t for b, t in zip(h, tol)]
+        return all(rational.dot(a, point) <= b for a, b in zip(H, limits))
 
     def is_subset(self, Q, tol=0.0):
         """Whether P lies in Q, h_P(H_Q) <= h_Q, decided without rounding. An empty P lies in every Q.
@@ -483,12 +492,10 @@ class Polytope:
             raise ValueError(f"P lies in R^{self.dimension} but Q in R^{Q.dimension}; inclusion needs one space")
         if self._is_fat:
             found = self._plane
-            answer = inclusion(Q.H, Q.h, found.local, found.row, found.offset, found.unit)
-            if not tol and answer.min(initial=1) < 0:
-                return False
+            least, answer = inclusion(Q.H, Q.h, found.local, found.row, found.offset, found.unit)
+            if least > 0 or (least < 0 and not tol):
+                return least > 0
             rows = np.flatnonzero(answer < 1)
-            if not len(rows):
-                return True
         else:
             rows = np.arange(len(Q.h))
         own = {row.tobytes(): offset for row, offset in zip(self.H + 0.0, self.h)}
@@ -538,7 +545,7 @@ class Polytope:
             raise ValueError("the polytope is unbounded; intersect it with a box before asking for vertices")
         if comb(len(self.h), n) > MOST_VERTEX_CANDIDATES:
             raise ValueError(f"{len(self.h)} rows in R^{n} are too many to enumerate vertices; use support()")
-        points = np.array([[nearest(entry) for entry in point] for point in self._meeting_points])
+        points = self._nearest_corners
         if not np.isfinite(points).all():
             raise ValueError("a vertex lies beyond the largest float; choose another unit, or use exact_maximum()")
         return _apart(points)
@@ -548,6 +555,12 @@ class Polytope:
         """The vertices over the rationals: tuples of n fmpq, each once, as the keys of a dict."""
         points = (self._meeting(tuple(rows))[1] for rows in self._candidates())
         return {point: None for point in points if point is not None}
+
+    @cached_property
+    def _nearest_corners(self):
+        """The floats nearest to them: array (v, n)."""
+        points = [[nearest(entry) for entry in point] for point in self._meeting_points]
+        return np.array(points).reshape(-1, self.dimension)
 
     @cached_property
     def _local_corners(self):

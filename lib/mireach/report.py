@@ -190,7 +190,6 @@ def draw_figures(analyses, folder):
 
     from . import plotting
 
-    folder.mkdir(parents=True, exist_ok=True)
     studies = {analysis.case.name: load_rows(data_file(analysis.case.name, "seeds.csv")) for analysis in analyses}
     sizes = {analysis.case.name: analysis.case.system.state_set.area for analysis in analyses}
     drawings = {"seed_areas": partial(plotting.plot_areas, studies=studies, sizes=sizes)}
@@ -199,8 +198,8 @@ def draw_figures(analyses, folder):
     for name, draw in drawings.items():
         figure = Figure(figsize=SIZES.get(name, (6.4, 6.2)), layout="constrained")
         draw(figure.add_subplot())
-        plotting.save_svg(figure, folder / f"{name}.svg", bbox_inches="tight")
-        figure.savefig(folder / f"{name}.png", dpi=150, bbox_inches="tight")
+        plotting.save_figure(figure, folder / f"{name}.svg", bbox_inches="tight")
+        plotting.save_figure(figure, folder / f"{name}.png", dpi=150, bbox_inches="tight")
 
 
 def _drawings(analysis):

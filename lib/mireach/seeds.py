@@ -1,8 +1,11 @@
 """The seed study: how typical are the numbers of one trained network?"""
 
 import csv
+import hashlib
 import io
 import json
+import shutil
+from contextlib import suppress
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from time import perf_counter
@@ -16,11 +19,13 @@ from .checks import whole_number
 from .datasets import MAKERS, DataSet
 from .engines.cells import cells
 from .errors import CorruptFileError, MireachError
-from .files import END, write_whole
+from .files import END, PART, read_json, write_json, write_whole
 from .invariance import safe_set, terminal_set
 from .network import MaxoutNetwork
 from .planar import maximal_safe_set
+from .workers import in_parallel
 
+FINISHED = "mireach-finished-seed/1"  # format of a file that keeps one seed of an unfinished study
 CLEAR = 1e-6  # an alpha counts as above 1 by more than this, what a MILP solver resolves
 LOSS_FACTOR = 2.0  # a network may be shipped if its loss is within this factor of the best eligible one
 
@@ -85,7 +90,7 @@ class SeedRow:
     maximal_seconds: float = np.nan
 
 
-def study(name, seeds=range(50), *, jobs=-1, scheduler=None, progress=True, **training):
+def study(name, seeds=range(50), *, jobs=-1, scheduler=None, progress=True, keep=None, **training):
     """Train and analyse one network a seed.
 
     Parameters
@@ -99,6 +104,9 @@ def study(name, seeds=range(50), *, jobs=-1, scheduler=None, progress=True, **tr
         Address of a Dask scheduler, "tcp://host:8786", whose workers are used in place of `jobs`.
     progress : bool
         Show a progress bar.
+    keep : str, Path or None
+        A folder that gets one file per finished seed. Seeds that it holds already are not trained again, if they
+        were made from the same data, options, code of this package and version of PyTorch.
     **training
         Passed to `training.train`, such as `steps`.
 
@@ -113,18 +121,38 @@ def study(name, seeds=range(50), *, jobs=-1, scheduler=None, progress=True, **tr
     MireachError
         If `scheduler` is given and dask.distributed is missing.
     """
-    from joblib import Parallel, delayed, parallel_config
+    seeds = list(dict.fromkeys(map(int, seeds)))
+    origin = None if keep is None else _origin(name, training)
+    found = {} if keep is None else _kept(Path(keep), origin, seeds)
+    tasks = [(name, seed, training) for seed in seeds if seed not in found]
+    bar = tqdm(total=len(seeds), initial=len(found), desc="seeds", unit="network", disable=not progress)
+    with bar:
+        for row, network in _results(tasks, jobs, scheduler):
+            found[row.seed] = row, network
+            if keep is not None:
+                _keep(Path(keep) / f"{row.seed}.json", origin, row, network)
+            bar.update()
+    found = {seed: found[seed] for seed in sorted(found)}
+    return [row for row, _ in found.values()], {seed: network for seed, (_, network) in found.items()}
 
-    tasks = [delayed(run_seed)(name, int(seed), **training) for seed in seeds]
+
+def _results(tasks, jobs, scheduler):
+    """Yield (SeedRow, MaxoutNetwork) of each task, as soon as it is there."""
     if scheduler is None:
-        results = Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks)
-        return _collect(results, len(tasks), progress)
+        yield from in_parallel(_run_task, tasks, jobs, ordered=False)
+        return
     try:
-        from dask.distributed import Client
+        from dask.distributed import Client, as_completed
     except ImportError as error:
         raise MireachError('a scheduler needs Dask: install it with pip install "mireach[cluster]"') from error
-    with Client(scheduler), parallel_config(backend="dask"):
-        return _collect(Parallel()(tasks), len(tasks), progress)
+    with Client(scheduler) as client:
+        futures = [client.submit(_run_task, *task, pure=False) for task in tasks]
+        for future in as_completed(futures):
+            yield future.result()
+
+
+def _run_task(name, seed, training):
+    return run_seed(name, seed, **training)
 
 
 def run_seed(name, seed, **training):
@@ -190,11 +218,8 @@ def reanalyse(name, jobs=-1, folder=None, progress=True):
     str
         What came out, for people.
     """
-    from joblib import Parallel, delayed
-
-    rows, networks = load_rows(data_file(name, "seeds.csv")), load_networks(name)
-    tasks = [delayed(_maximal_of)(name, networks[row.seed]) for row in rows]
-    found = Parallel(n_jobs=jobs, return_as="generator")(tasks)
+    rows, networks = load_study(name)
+    found = in_parallel(_maximal_of, [(name, networks[row.seed]) for row in rows], jobs)
     found = list(tqdm(found, total=len(rows), desc="seeds", unit="network", disable=not progress))
     rows = [replace(row, **columns) for row, columns in zip(rows, found)]
     path = Path(folder or data_file(name, "")) / "seeds.csv"
@@ -265,28 +290,34 @@ def load_rows(path):
     CorruptFileError
         If the file is not such a study.
     """
-    kinds = {
-        field.name: {"True": True, "False": False}.__getitem__ if field.type is bool else field.type
-        for field in fields(SeedRow)
-    }
+    known = [field.name for field in fields(SeedRow)]
     try:
         *lines, end = Path(path).read_text(encoding="utf-8").splitlines() or [""]
         reader = csv.DictReader(lines)
         needed = [field.name for field in fields(SeedRow) if field.default is MISSING]
         names = reader.fieldnames or []
-        if names != list(kinds)[: len(names)] or len(names) < len(needed):
+        if names != known[: len(names)] or len(names) < len(needed):
             raise ValueError("its first line does not name the columns of SeedRow")
         if end != END.format(len(lines) - 1):
             raise ValueError("its last line does not give the number of rows it holds; it is truncated")
-        return [SeedRow(**{key: kinds[key](value) for key, value in row.items()}) for row in reader]
+        return [_row(row) for row in reader]
     except (KeyError, TypeError, ValueError) as error:
         raise CorruptFileError(f"{path} holds no seed study: {error!r}; make it again") from error
 
 
+def _row(texts):
+    """The SeedRow of a dict of column to text."""
+    kinds = {
+        field.name: {"True": True, "False": False}.__getitem__ if field.type is bool else field.type
+        for field in fields(SeedRow)
+    }
+    return SeedRow(**{key: kinds[key](text) for key, text in texts.items()})
+
+
 def save_networks(path, networks):
-    """Write the networks of a study, one JSON object a line: {"seed": ..., "network": ...}."""
+    """Write the networks of a study, one JSON object per line: {"seed": ..., "network": ...}, and {"end": count}."""
     lines = [json.dumps({"seed": seed, "network": network.to_dict()}) for seed, network in sorted(networks.items())]
-    write_whole(path, "\n".join(lines) + "\n")
+    write_whole(path, "\n".join([*lines, json.dumps({"end": len(lines)})]) + "\n")
 
 
 def load_networks(name):
@@ -299,14 +330,64 @@ def load_networks(name):
     """
     path = data_file(name, "seed_networks.jsonl")
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        return {entry["seed"]: MaxoutNetwork.from_dict(entry["network"]) for entry in map(json.loads, lines)}
-    except (KeyError, TypeError, ValueError) as error:
+        *entries, end = map(json.loads, path.read_text(encoding="utf-8").splitlines() or ["null"])
+        networks = {entry["seed"]: MaxoutNetwork.from_dict(entry["network"]) for entry in entries}
+        if end != {"end": len(networks)} or len(networks) < len(entries):
+            raise ValueError("its last line does not give the number of networks it holds; it is truncated")
+        return networks
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise CorruptFileError(f"{path} holds no networks of a seed study: {error!r}; restore it") from error
+
+
+def load_study(name):
+    """Rows and networks of the shipped seed study of a case: (list of SeedRow, dict of seed to MaxoutNetwork).
+
+    Raises
+    ------
+    CorruptFileError
+        If a file is truncated or holds anything else, or the two hold different seeds.
+    """
+    rows, networks = load_rows(data_file(name, "seeds.csv")), load_networks(name)
+    if sorted(row.seed for row in rows) != sorted(networks):
+        raise CorruptFileError(
+            f"{data_file(name, 'seeds.csv')} has {len(rows)} seeds that are not the {len(networks)} of "
+            "seed_networks.jsonl beside it; restore both files, or run the study again"
+        )
+    return rows, networks
+
+
+def _origin(name, training):
+    """A digest of all that decides what a seed leads to: data, options, this package, and the version of PyTorch."""
+    from .training import torch
+
+    found = hashlib.sha256(f"{name} {sorted(training.items())} {torch.__version__} {np.__version__}".encode())
+    for path in [data_file(name, "samples.csv"), *sorted(Path(__file__).parent.rglob("*.py"))]:
+        found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def _keep(path, origin, row, network):
+    """Write what one seed led to."""
+    numbers = {key: str(value) for key, value in asdict(row).items()}
+    write_json(path, {"format": FINISHED, "origin": origin, "row": numbers, "network": network.to_dict()})
+
+
+def _kept(folder, origin, seeds):
+    """What `_keep` wrote of these seeds, if its origin is the same: dict of seed to (SeedRow, MaxoutNetwork)."""
+    found = {}
+    for seed in seeds:
+        with suppress(FileNotFoundError, CorruptFileError, KeyError, TypeError, ValueError):  # such a seed is run again
+            value = read_json(folder / f"{seed}.json", FINISHED)
+            row = _row(value["row"])
+            if value["origin"] == origin and row.seed == seed:
+                found[seed] = row, MaxoutNetwork.from_dict(value["network"])
+    return found
 
 
 def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=True):
     """Run the study of a case and write seeds.csv, seed_networks.jsonl and the chosen network.json.
+
+    A study that was interrupted is resumed: finished networks are kept in the folder seeds.part until it ends.
 
     Parameters
     ----------
@@ -327,12 +408,14 @@ def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=Tr
     count = whole_number(count, "count", 1)
     if scheduler is None and not jobs:
         raise ValueError("jobs must not be 0; -1 is one process a core")
-    rows, networks = study(name, range(count), jobs=jobs, scheduler=scheduler, progress=progress)
     folder = Path(folder or data_file(name, ""))
+    keep = folder / f"seeds{PART}"
+    rows, networks = study(name, range(count), jobs=jobs, scheduler=scheduler, progress=progress, keep=keep)
     save_rows(folder / "seeds.csv", rows)
     save_networks(folder / "seed_networks.jsonl", networks)
     chosen = choose(name, rows)
     networks[chosen.seed].save(folder / "network.json")
+    shutil.rmtree(keep, ignore_errors=True)
     return f"seed {chosen.seed} of {count} is written to {folder / 'network.json'}: {chosen}"
 
 
@@ -397,10 +480,3 @@ def _maximal_columns(case, safe):
         "maximal_iterations": found.iterations,
         "maximal_seconds": seconds,
     }
-
-
-def _collect(results, count, progress):
-    """Rows by seed, and the networks."""
-    found = list(tqdm(results, total=count, desc="seeds", unit="network", disable=not progress))
-    found.sort(key=lambda pair: pair[0].seed)
-    return [row for row, _ in found], {row.seed: network for row, network in found}

@@ -323,7 +323,7 @@ class _Rows:
         """These rows and a z <= b, or a z < b; None where another row contradicts it."""
         size = abs(next((entry for entry in a if entry), 1))
         if not any(a):
-            return self if b >= 0 else None
+            return self if b > 0 or (b == 0 and not strict) else None
         key, limit = tuple(entry / size for entry in a), (b / size, not strict)
         limits = {**self.limits, key: min(limit, self.limits.get(key, limit))}
         offset, closed = limits[key]

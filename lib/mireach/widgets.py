@@ -10,7 +10,9 @@ import ipywidgets
 import traitlets
 from matplotlib.figure import Figure
 
+from .checks import require_kind, whole_number
 from .errors import MireachError
+from .files import write_whole
 from .lab import (
     largest_amount,
     look,
@@ -138,7 +140,7 @@ class DisturbanceLab(anywidget.AnyWidget):
         path = Path(path)
         if path.suffix not in kinds:
             raise ValueError(f"the name of the file must end in {', '.join(kinds)}; got {path.name!r}")
-        path.write_text(self._text(kinds[path.suffix]), encoding="utf-8")
+        write_whole(path, self._text(kinds[path.suffix]))
 
     @traitlets.validate("settings")
     def _settle(self, proposal):
@@ -155,29 +157,40 @@ class DisturbanceLab(anywidget.AnyWidget):
         self._show_curve()
 
     def _on_message(self, _widget, message, _buffers):
-        """What the page asks for: a look at other settings, some idle work, the maximal safe set, or a file."""
+        """What the page asks for: a look at other settings, some idle work, the maximal safe set, or a file.
+
+        A message that cannot be answered changes nothing; the page shows why, as the "error" of `picture`.
+        """
         try:
             self._do(message)
         except (MireachError, ValueError, ArithmeticError) as error:
             self.picture = {**self.picture, "error": str(error), "stamp": self._stamp}
 
     def _do(self, message):
-        if message["do"] == "look":
-            self._stamp = message["stamp"]
-            wanted = self.subject.settle(message["settings"])
+        """Answer one message; ValueError if it is none that the page sends."""
+        require_kind(message, dict, "a message of the page")
+        do = message.get("do")
+        if do == "look":
+            self._stamp = whole_number(message.get("stamp"), "stamp", 0)
+            wanted = self.subject.settle(message.get("settings"))
             if wanted == self.settings:
                 self._answer()
             self.settings = wanted
-        elif message["do"] == "idle":
+        elif do == "idle":
             self._idle()
-        elif message["do"] == "layer":
+        elif do == "layer":
             found = maximal_set(self.look.loop)
             self.layer = {**maximal_scene(found, self.look.loop.system.state_set), "number": self._looks}
             self._maximal = found.set
-        elif message["do"] == "save":
-            ending, kind = KINDS[message["kind"]]
+        elif do == "save":
+            kind = message.get("kind")
+            if kind not in tuple(KINDS):
+                raise ValueError(f"a file must be of the kind {', '.join(KINDS)}; got {kind!r:.80}")
+            ending, media = KINDS[kind]
             name = f"mireach_{self.subject.name}.{ending}"
-            self.send({"file": name, "type": kind, "text": self._text(message["kind"])})
+            self.send({"file": name, "type": media, "text": self._text(kind)})
+        else:
+            raise ValueError(f"a message must ask for look, idle, layer or save; got {do!r:.80}")
 
     def _text(self, kind):
         if kind == "script":

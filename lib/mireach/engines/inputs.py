@@ -11,7 +11,7 @@ from ..loop import input_message
 from ..rational import binary, nearest
 from ..scaling import in_units
 from ..units import own_units
-from . import cells, exact
+from . import cells, exact, milp
 
 CLEAR = 1e-9  # an excess of floats above this is one (relative to the size of U); below, exact arithmetic decides
 
@@ -38,9 +38,14 @@ def require_inputs(loop):
 def violating_state(loop, U):
     """A state (n,) of X whose input lies outside the Polytope U, or None."""
     units = own_units(loop)
-    system = units.loop.system
-    regions = tuple(mode.region for mode in system.modes)
-    state = _violating_state(units.loop.network, regions, system.state_set, _inputs_in_units(units, U))
+    own, U = units.loop, _inputs_in_units(units, U)
+    if _by_intervals(own.network, own.system.state_set, U):
+        return None
+    if own.system.state_size == 2:
+        regions = tuple(mode.region for mode in own.system.modes)
+        state = _in_the_plane(own.network, regions, own.system.state_set, U)
+    else:
+        state = _in_space(own, U)
     return None if state is None else units.states(state)
 
 
@@ -50,12 +55,8 @@ def _inputs_in_units(units, U):
 
 
 @lru_cache(maxsize=128)
-def _violating_state(network, regions, X, U):
-    """A state (n,) of X whose input lies outside U, or None."""
-    if _by_intervals(network, X, U):
-        return None
-    if X.dimension != 2:
-        return None
+def _in_the_plane(network, regions, X, U):
+    """A state (2,) of X whose input lies outside U, or None."""
     most, excess, x = cells.input_excess(network, regions, X, U)
     if most <= 0:
         return None
@@ -68,6 +69,10 @@ def _violating_state(network, regions, X, U):
     return None
 
 
+_in_space = lru_cache(maxsize=128)(milp.violating_state)
+
+
+@lru_cache(maxsize=128)
 def _by_intervals(network, X, U):
     """Whether interval arithmetic shows that Phi(x) lies in U for every x in X, its rounding counted."""
     low, high = X.bounding_box()

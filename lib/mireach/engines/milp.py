@@ -17,14 +17,13 @@ import numpy as np
 
 from ..checks import positive_number, real_array, whole_number
 from ..errors import SolverError, SolverStopped
-from ..loop import require_inputs
 from ..lp import BRANCHED, GAP, MIP_TOLERANCE
 from .bounds import METHODS, SAFETY
 from .boxes import ROUNDING, Boxes, bound_loop
 from .common import Support, checked_query, empty_support, replay
 from .formulation import Model, build, build_inputs, root_box
 
-__all__ = ["FORMULATIONS", "Model", "build", "check_inputs", "support"]
+__all__ = ["FORMULATIONS", "Model", "build", "support", "violating_state"]
 
 FORMULATIONS = ("split", "whole", "paper")
 MARGIN = (
@@ -105,7 +104,7 @@ def support(
     SolverError
         If HiGHS ends without an answer, or with bounds that its own trajectories pass.
     ValueError
-        If Phi leaves U at some state of F & X (for k > 1, of X), or an argument is not as above.
+        If an argument is not as above.
     """
     V, steps = checked_query(loop, F, V, steps)
     gap = float(real_array(gap, "gap", 0))
@@ -124,7 +123,6 @@ def support(
     start = F & X
     if start.is_empty:
         return empty_support(len(V))
-    check_inputs(loop, start if steps == 1 else X, bounds)
     if before is not None and before.boxes.lower.shape[1] != V.shape[1] * steps:
         raise ValueError(f"known is an answer for another number of steps than {steps}")
     ask = _Ask(loop, start, V, steps, bounds, gap, time_limit, known)
@@ -500,18 +498,19 @@ def _share(work, count, jobs, large):
 # -- checks -------------------------------------------------------------------------------------------
 
 
-def check_inputs(loop, start, bounds="lp"):
-    """Raise ValueError if Phi leaves U somewhere in `start`."""
-    U = loop.system.input_set
+def violating_state(loop, U, bounds="lp"):
+    """A state (n,) of X at which Phi leaves the Polytope U by more than `INPUT_TOLERANCE`, or None."""
+    X = loop.system.state_set
     tol = INPUT_TOLERANCE * (1 + np.abs(U.h))
-    found = bound_loop(loop, root_box(loop, start, 1))
+    found = bound_loop(loop, root_box(loop, X, 1))
     open_rows = found.highest_input(U.H)[0] > U.h + tol
     if not open_rows.any():
-        return
-    ask = _Ask(loop, start, U.H[open_rows], 1, bounds, GAP, None, np.full(len(open_rows), np.inf), inputs=True)
-    for answer, most in zip(_split(ask, (U.h + tol)[open_rows], 1)[0], tol[open_rows]):
-        if answer.path is not None:
-            require_inputs(loop.network, U, answer.path[0][None], tol=most)
+        return None
+    ask = _Ask(loop, X, U.H[open_rows], 1, bounds, GAP, None, np.full(len(open_rows), np.inf), inputs=True)
+    for answer, limit in zip(_split(ask, (U.h + tol)[open_rows], 1)[0], (U.h + tol)[open_rows]):
+        if answer.path is not None and answer.value > limit:
+            return answer.path[0]
+    return None
 
 
 def _require_consistent(V, bound, witness):

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..errors import SolverStopped
 from .common import Support, checked_query, empty_support, replay
-from .milp import check_inputs
 
 TOLERANCE = 1e-7  # added to what the solver calls optimal, in units of v x
 ZERO_GAP = {
@@ -62,7 +61,7 @@ def support(loop, F, V, steps=1, *, solver="HIGHS", time_limit=None, tolerance=T
     Raises
     ------
     ValueError
-        If an argument does not fit, cvxpy does not know the solver, or Phi leaves U somewhere in X.
+        If an argument does not fit, or cvxpy does not know the solver.
     SolverStopped
         If the solver ends without an optimum.
     ImportError
@@ -73,7 +72,6 @@ def support(loop, F, V, steps=1, *, solver="HIGHS", time_limit=None, tolerance=T
     if start.is_empty:
         return empty_support(len(V))
     options = _options(solver, time_limit, solver_options)
-    _require_inputs(loop)
     problem, v, x, gamma, d = model(loop, F, steps)
     answers = []
     for row in V:
@@ -152,16 +150,6 @@ def model(loop, F, steps):
 
     v = cp.Parameter(n, name="v")
     return cp.Problem(cp.Maximize(v @ x[steps]), constraints), v, x, gamma, d  # eq. MILPReachableSets
-
-
-def _require_inputs(loop):
-    """Raise ValueError if Phi leaves U somewhere in X: by intervals, or the engine milp."""
-    net, U = loop.network, loop.system.input_set
-    y = loop.system.state_set.bounding_box()
-    for layer in net.hidden:
-        y = maxout_range(layer, *affine_range(layer.weight, layer.bias, *y))
-    if excess(U.H, U.h, *affine_range(net.weight, net.bias, *y)).max() > 1e-9:
-        check_inputs(loop, loop.system.state_set)
 
 
 # -- big-M by interval arithmetic -----------------------------------------------------------------
