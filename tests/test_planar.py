@@ -524,7 +524,12 @@ def test_answers_do_not_depend_on_units(seed, mixed):
     loop, (s, t) = random_loop(seed, with_input=mixed), powers(rng, mixed)
     other = in_other_units(loop, s, t)
     own, its = mr.maximal_safe_set(loop), mr.maximal_safe_set(other)
-    assert (own.verdict, own.iterations, own.slack, own.settled) == (its.verdict, its.iterations, its.slack, its.settled)
+    assert (own.verdict, own.iterations, own.slack, own.settled) == (
+        its.verdict,
+        its.iterations,
+        its.slack,
+        its.settled,
+    )
     assert_same(own.outer, its.outer, s)
     assert len(own.history) == len(its.history)
     for S, S_other in zip(own.history, its.history):
@@ -557,16 +562,15 @@ def test_the_largest_disturbance_does_not_depend_on_units(mixed):
     assert own.bound > 0
 
 
-def test_the_slack_is_relative_to_the_largest_coordinate():
-    for size in (100.0, 1200.0, 4800.0):
-        loop = affine_loop(0.5 * np.eye(2), square(0.1 * size), limits=size)
-        found = mr.maximal_safe_set(loop, slack=1e-6, prove=False)
-        assert found.slack == 1e-6
-        bound = mr.maximal_safe_set(affine_loop(1.25 * np.eye(2), square(0.05 * size), limits=size), slack=1e-6)
-        # |x|_inf <= size without slack r comes back after k steps from 1.25 |x| + 0.05 size + r <= |x'|: lost beyond
-        # the limit (size - 0.05 size - r) / 1.25 at first; what is given up is r / 1.25, r = 1e-6 size
-        edge = np.abs(planar.shapely.get_coordinates(bound.history[1].shape)).max()
-        assert 0.76 * size - edge == pytest.approx(1e-6 * size / 1.25, rel=1e-3)
+@pytest.mark.parametrize("size", [0.1, 1.0, 120.0, 1000.0])
+def test_the_slack_is_relative_to_the_largest_coordinate(size):
+    """x1+ = 5/4 x2 + d leaves |x1| <= size where |x2| > 0.76 size; D and what is lost are widened by the slack."""
+    loop = affine_loop([[0.0, 1.25], [0.1, 0.0]], square(0.05 * size), limits=size)
+    found = mr.maximal_safe_set(loop, slack=1e-6)
+    width = 1e-6 * 1.25 * size  # the image reaches to 5/4 size
+    edge = np.abs(planar.shapely.get_coordinates(found.set.shape)[:, 1]).max()
+    assert found.verdict == "proven" and found.slack == 1e-6
+    assert 0.76 * size - edge == pytest.approx((1 / 1.25 + 1) * width, rel=1e-6)
 
 
 def leaving_loop():
