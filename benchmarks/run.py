@@ -24,6 +24,7 @@ from growth import seconds
 import mireach as mr
 from mireach import case_studies, planar
 from mireach.engines import cells, exact
+from mireach.units import own_units
 
 PARTS = ("rooms", "peers", "wide", "growth", "dimensions")
 
@@ -96,12 +97,13 @@ def for_case(name):
 
 def for_region(name, case):
     """The maximal safe set, from the cells to the float region, its outer bound, its proof; and the attractor."""
-    every, found = cells.dynamics(case.loop), mr.maximal_safe_set(case.loop, prove=False)
+    loop, found = own_units(case.loop).loop, mr.maximal_safe_set(case.loop, prove=False)
+    every = cells.dynamics(loop)
     slack = planar.SLACK * planar._size(every)
     for label, sign in (("maximal safe set", 1), ("its outer bound", -1)):
         row(
             f"{name}: {label} ({found.iterations}), from the cells",
-            lambda sign=sign: planar._shrink(case.loop, every, sign * slack, planar.MOST_ITERATIONS),
+            lambda sign=sign: planar._shrink(loop, every, sign * slack, planar.MOST_ITERATIONS),
             1e3,
             "ms",
             20,

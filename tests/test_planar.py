@@ -1,10 +1,20 @@
 """The maximal safe set and exact reachable sets: against sampling, adversaries, a grid game, theory, and forgeries."""
 
+import pickle
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from loops import affine_loop, assert_escapes, evaluate, jump_loop, random_images, random_loop, random_successors
+from loops import (
+    affine_loop,
+    assert_escapes,
+    evaluate,
+    jump_loop,
+    narrow_spike,
+    random_images,
+    random_loop,
+    random_successors,
+)
 
 import mireach as mr
 from mireach import planar
@@ -104,8 +114,9 @@ def escapes(loop, history, x, rng):
 def test_an_adversary_drives_states_outside_of_the_outer_set_out_of_x(seed, with_input):
     loop, rng = random_loop(seed, with_input=with_input), np.random.default_rng(seed)
     found = mr.maximal_safe_set(loop, prove=False)
-    every = planar.dynamics(loop)
-    history, _ = planar._shrink(loop, every, planar.SLACK * planar._size(every), planar.MOST_ITERATIONS)
+    units, every = planar._own(loop)
+    history, _ = planar._shrink(units.loop, every, planar.SLACK * planar._size(every), planar.MOST_ITERATIONS)
+    history = [planar._rescaled(S, units.state) for S in history]
     x = loop.system.state_set.sample(rng, 300)
     lost = x[~found.outer.contains(x, tol=0.02)][:40]  # nearer ones need a disturbance that samples may miss
     assert all(escapes(loop, history, state, rng) for state in lost)
@@ -474,3 +485,185 @@ def test_nothing_is_refuted_where_floats_do_not_tell_which_mode_acts(gradient, e
     assert mr.prove_rpi(loop, safe).verdict == "proven"
     found = mr.maximal_safe_set(loop)
     assert found.verdict != "refuted" and found.outer.area == pytest.approx(box.area)
+
+
+# -- units --------------------------------------------------------------------------------------------
+
+
+def in_other_units(loop, s, t):
+    """The loop for x = s x', u = t u' (powers of two, one for each coordinate): another ClosedLoop for x', u'."""
+    both = np.concatenate([s, t])
+    modes = [
+        mr.Mode(
+            mode.A * s / s[:, None],
+            mode.B * t / s[:, None],
+            mode.p / s,
+            mr.Polytope(mode.region.H * both, mode.region.h),
+            mr.Polytope(mode.disturbance.H * s, mode.disturbance.h),
+        )
+        for mode in loop.system.modes
+    ]
+    X, U = loop.system.state_set, loop.system.input_set
+    system = mr.PWASystem(modes, mr.Polytope(X.H * s, X.h), mr.Polytope(U.H * t, U.h))
+    first, *hidden = loop.network.hidden
+    hidden = [mr.Layer(first.weight * s, first.bias, first.pool), *hidden]
+    return mr.ClosedLoop(system, MaxoutNetwork(hidden, loop.network.weight / t[:, None], loop.network.bias / t))
+
+
+def rescaled(region, s):
+    """{x' : s x' in the region}."""
+    return mr.Region(planar.shapely.transform(region.shape, lambda x: x / s))
+
+
+def assert_same(own, other, s):
+    """The region `other` is {x' : s x' in `own`}, corner by corner and bit by bit."""
+    one, two = (planar.shapely.get_coordinates(region.shape) for region in (own, other))
+    assert np.array_equal(one, two * s)
+
+
+def powers(rng, mixed):
+    """Units s (2,) and t (1,)."""
+    s = 2.0 ** rng.integers(-60, 61, 2) if mixed else np.full(2, 2.0 ** rng.integers(-60, 61))
+    return s, 2.0 ** rng.integers(-60, 61, 1)
+
+
+@pytest.mark.filterwarnings("ignore:the region of mode")
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("seed", (*QUICK, 2))
+def test_answers_do_not_depend_on_units(seed, mixed):
+    rng = np.random.default_rng([seed, mixed])
+    loop, (s, t) = random_loop(seed, with_input=mixed), powers(rng, mixed)
+    other = in_other_units(loop, s, t)
+    own, its = mr.maximal_safe_set(loop), mr.maximal_safe_set(other)
+    assert (own.verdict, own.iterations, own.slack, own.settled) == (
+        its.verdict,
+        its.iterations,
+        its.slack,
+        its.settled,
+    )
+    assert_same(own.outer, its.outer, s)
+    assert len(own.history) == len(its.history)
+    for S, S_other in zip(own.history, its.history):
+        assert_same(S, S_other, s)
+    F = loop.system.state_set.scale(0.5)
+    for R, R_other in zip(mr.exact_reach(loop, F, 2), mr.exact_reach(other, mr.Polytope(F.H * s, F.h), 2)):
+        assert_same(R, R_other, s)
+    S = mr.Region.of(loop.system.state_set)
+    assert_same(planar.carried_out(loop, S), planar.carried_out(other, rescaled(S, s)), s)
+    check, check_other = mr.prove_rpi(loop, S), mr.prove_rpi(other, rescaled(S, s))
+    assert check.verdict == check_other.verdict and check.settled == "exact arithmetic"
+    if check.verdict == "refuted":
+        assert_escapes(other, triangles_of(rescaled(S, s)), check_other.witness)
+        assert_escapes(loop, triangles_of(S), check.witness)
+    if own.set is not None:
+        settled = mr.attractor(loop, own, tolerance=0.1, max_steps=4)
+        settled_other = mr.attractor(other, its, tolerance=0.1 / s, max_steps=4)
+        assert (settled.steps, settled.settled) == (settled_other.steps, settled_other.settled)
+        assert np.array_equal(settled.added, settled_other.added * s)
+        for R, R_other in zip(settled.history, settled_other.history):
+            assert_same(R, R_other, s)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_the_largest_disturbance_does_not_depend_on_units(mixed):
+    rng = np.random.default_rng(mixed)
+    loop, (s, t) = random_loop(0), powers(rng, mixed)
+    own = mr.largest_disturbance(loop, accuracy=0.05)
+    assert own == mr.largest_disturbance(in_other_units(loop, s, t), accuracy=0.05, weights=1 / s)
+    assert own.bound > 0
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 120.0, 1000.0])
+def test_the_slack_is_relative_to_the_largest_coordinate(size):
+    """x1+ = 5/4 x2 + d leaves |x1| <= size where |x2| > 0.76 size; D and what is lost are widened by the slack."""
+    loop = affine_loop([[0.0, 1.25], [0.1, 0.0]], square(0.05 * size), limits=size)
+    found = mr.maximal_safe_set(loop, slack=1e-6)
+    width = 1e-6 * 1.25 * size  # the image reaches to 5/4 size
+    edge = np.abs(planar.shapely.get_coordinates(found.set.shape)[:, 1]).max()
+    assert found.verdict == "proven" and found.slack == 1e-6
+    assert 0.76 * size - edge == pytest.approx((1 / 1.25 + 1) * width, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        mr.maximal_safe_set,
+        lambda loop: planar.carried_out(loop, square(1)),
+        lambda loop: mr.prove_rpi(loop, square(1)),
+        lambda loop: mr.exact_reach(loop, square(1), 1),
+        lambda loop: mr.attractor(loop, square(1)),
+        mr.largest_disturbance,
+    ],
+)
+def test_a_network_that_leaves_u_is_an_error(ask):
+    loop = narrow_spike()
+    with pytest.raises(ValueError, match="input"):
+        ask(loop)
+
+
+def test_answers_pickle():
+    loop = affine_loop(0.5 * np.eye(2), square(0.1))
+    found = mr.maximal_safe_set(loop)
+    again = pickle.loads(pickle.dumps(found))
+    assert again.settled == "exact arithmetic" and again.set.area == found.set.area
+    for answer in (mr.prove_rpi(loop, square(0.1)), mr.attractor(loop, found), mr.exact_reach(loop, square(1), 1)):
+        assert repr(pickle.loads(pickle.dumps(answer)))[:40] == repr(answer)[:40]
+    assert mr.prove_rpi(loop, square(0.1)).verdict == "refuted" and found.verdict == "proven"
+
+
+# -- many pieces --------------------------------------------------------------------------------------
+
+
+def pendulum_loop(seed, hidden=12, dt=0.05):
+    """x+ = Phi(x): a ReLU 2-12-2 network fitted to a pendulum under feedback, random but for its last layer."""
+    rng = np.random.default_rng(seed)
+    W, b = rng.normal(size=(hidden, 2)), rng.uniform(-0.9, 0.9, hidden)
+    W /= np.linalg.norm(W, axis=1)[:, None]
+    x = rng.uniform(-1, 1, (4000, 2))
+    after = x + dt * np.column_stack([x[:, 1], 2 * np.sin(2 * x[:, 0]) - 8 * x[:, 0] - 3 * x[:, 1]])
+    features = np.column_stack([np.maximum(x @ W.T + b, 0), np.ones(len(x))])
+    last = np.linalg.lstsq(features, after, rcond=None)[0].T
+    weight, bias = np.zeros((2 * hidden, 2)), np.zeros(2 * hidden)
+    weight[::2], bias[::2] = W, b
+    net = MaxoutNetwork([mr.Layer(weight, bias, 2)], last[:, :-1], last[:, -1])
+    mode = mr.Mode(np.zeros((2, 2)), np.eye(2), np.zeros(2), mr.Polytope(np.eye(4)[:1], [100.0]))
+    return mr.ClosedLoop(mr.PWASystem([mode], square(1), mr.Polytope.box([-4, -4], [4, 4])), net)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_the_attractor_of_a_network_with_many_cells_settles(seed):
+    """GEOS fails on the union of these images; without cracks there are no holes."""
+    loop, rng = pendulum_loop(seed), np.random.default_rng(seed)
+    S = mr.maximal_safe_set(loop, slack=1e-5, prove=False).history[-1]
+    found = mr.attractor(loop, S, tolerance=1e-2)
+    assert found.settled and (found.added < 2 * 1e-2 / 8 * (found.steps + 1)).all()
+    for before, after in pairwise(found.history):
+        assert after.holes == 0 and after.components == 1
+        x = draw(before, rng, 200)
+        x = x[loop.system.state_set.contains(x)]
+        assert after.contains(np.array([evaluate(loop.network, state) for state in x])).all()
+    few = mr.attractor(loop, S, tolerance=1e-9, max_steps=4)
+    exactly = mr.exact_reach(loop, S, 4)
+    for R, cover in zip(exactly[:4], few.history):
+        assert R.is_subset(cover, tol=1e-10) and cover.is_subset(R, tol=few.added.max() * 20)
+
+
+def test_sets_of_the_attractor_hold_the_exact_images_of_exact_cells():
+    loop = pendulum_loop(0)
+    found = mr.attractor(loop, square(0.5), tolerance=1e-2, max_steps=1)
+    units = planar.own_units(loop)
+    assert np.array_equal(units.state, [1, 1])
+    first = found.history[1]
+    for cell in planar.exact.cells(units.loop):
+        part = planar.exact._clip_all(cell.corners, planar.exact._rows(square(0.5)))
+        images = [[planar.exact.nearest(entry) for entry in cell.image(x)] for x in part]
+        assert not images or first.contains(np.array(images)).all()
+
+
+def test_too_many_parts_are_an_error_that_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(planar, "MOST_PARTS", 5)
+    loop = pendulum_loop(0)
+    with pytest.raises(mr.errors.RegionError, match="take fewer steps"):
+        mr.exact_reach(loop, square(0.7), 2)
+    with pytest.raises(mr.errors.RegionError, match="larger tolerance"):
+        mr.attractor(loop, square(0.7))

@@ -9,6 +9,10 @@ class CorruptFileError(MireachError, ValueError):
     """A file is not what its name says: truncated, of another format, or with impossible numbers."""
 
 
+class RegionError(MireachError):
+    """A set of the plane has too many corners, or GEOS finds no answer; the message says what to do instead."""
+
+
 class SolverError(MireachError):
     """A solver ended in a state from which no answer can be read."""
 

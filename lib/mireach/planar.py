@@ -1,25 +1,36 @@
-"""The plane without templates: the maximal RPI set, exact reachable sets, the attractor, and how much disturbance fits.
+"""The plane without templates: the maximal RPI set, reachable sets, the attractor, and the largest disturbance.
 
 Forward images of a nonconvex set have to be covered by a template, and every cover adds what is then carried
 on. Backwards nothing is covered: a state is lost if a disturbance carries it to a lost state, and the lost part
 of a cell is a union of convex polygons.
+
+Everything is computed in the loop's own units (`units.own_units`) and scaled back by powers of two, without rounding.
+The answers therefore do not depend on the units of the states, the inputs and the disturbances.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 import shapely
+from shapely.errors import GEOSException
 
-from .checks import positive_number, require_kind, whole_number
+from .checks import positive_number, real_array, require_kind, whole_number
 from .engines import exact
-from .engines.cells import ROUNDING as UNIT
 from .engines.cells import TOUCH, dynamics
+from .engines.common import EXACT
+from .engines.inputs import require_inputs
+from .engines.steps import Escape
+from .errors import RegionError
 from .invariance import SafeSet, safe_set
 from .loop import ClosedLoop
 from .polygons import Polygons
 from .polytope import Polytope
 from .region import Region, hulls, overlay
+from .scaling import times
+from .units import own_units
 
 SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and far below what is seen in an area
 LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
@@ -29,6 +40,13 @@ MOST_LOST = 10_000  # the same where nothing has to be proven afterwards
 COARSER = 4  # powers of 10 by which the slack may grow
 STEEP = 0.2  # rows of a region that change with x more slowly than this (relative to their length) are not located well
 ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
+FLOATS = "floating point"  # what an answer rests on that `slack` protects from rounding, but no proof
+CLOSING = 2.0**-36  # least widening of an image (relative to `_size`): far above rounding, far below what is seen
+GRIDS = 2.0 ** np.array([-5, -4, -3])  # of the corners of a union, relative to the widening; the next one if GEOS fails
+FEWER = 0.75  # share of the widening by which the boundary may move inward again while it loses corners
+MORE = 8  # factor from one widening to the next where a set has too many corners
+MOST_CORNERS = 300  # of a set of the attractor, beyond which it is widened more
+MOST_PARTS = 100_000  # that the image of a set may fall into
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +56,17 @@ class RegionCheck:
     Attributes
     ----------
     verdict : "proven", "refuted" or "unknown"
-    witness : engines.exact.Escape or None
+    witness : engines.steps.Escape or None
         A step out of the region, in rational numbers, where the verdict is "refuted".
     reason : str
+    settled : str
+        What the verdict rests on: "exact arithmetic"; empty where it is "unknown".
     """
 
     verdict: str
-    witness: exact.Escape | None
+    witness: Escape | None
     reason: str
+    settled: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +88,10 @@ class MaximalSafeSet:
         empty.
     reason : str
     slack : float
-        By which `set` was found, relative to the size of X and its image.
+        By which `set` was found, relative to the size of X and its image, as the argument of `maximal_safe_set`.
+    settled : str
+        What the verdict rests on: "exact arithmetic" where it is "proven", "floating point" where it is "refuted"
+        (with the margin `slack`), empty where it is "unknown".
     """
 
     set: Region | None
@@ -77,6 +101,7 @@ class MaximalSafeSet:
     verdict: str
     reason: str
     slack: float
+    settled: str = ""
 
     @property
     def given_up(self):
@@ -92,20 +117,25 @@ class Attractor:
     Attributes
     ----------
     set : Region
-        R_k(S) with k = `steps`; every trajectory from S is in it from step k on.
+        An outer approximation of R_k(S) with k = `steps`; every trajectory from S is in it from step k on.
     steps : int
     history : list of Region
-        R_0(S) = S, R_1(S), ..., `set`, and the one after it, by which the rule was tested.
+        S, and outer approximations of R_1(S), ..., R_k(S), and of R_(k+1)(S), by which the rule was tested. Each
+        holds the image of the one before it.
     settled : bool
         Whether no point of R_k is farther than `tolerance` from R_(k+1).
-    tolerance : float
+    tolerance : float or array (2,)
+    added : array (2,)
+        By how much the sets of `history` were widened, all steps together (units of x): each of them lies within
+        the image of the one before it, widened by a box, and the half-widths of these boxes sum up to at most this.
     """
 
     set: Region
     steps: int
     history: list
     settled: bool
-    tolerance: float
+    tolerance: float | np.ndarray
+    added: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -115,7 +145,7 @@ class LargestDisturbance:
     Attributes
     ----------
     bound : float
-        With D = {d : |d|_inf <= bound} in every mode there is a safe set; nan if there is none even for d = 0.
+        With D = {d : |d_i| <= bound weights_i} in every mode there is a safe set; nan if there is none for d = 0.
     above : float
         With this bound there was none found; at most `accuracy` more, or inf if the search ended before.
     tried : int
@@ -136,8 +166,9 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
         With two states; modes may depend on u, jump, and differ in D.
     slack : float
         By how much disturbance sets and lost parts are widened (a box of this half-width), relative to the
-        largest coordinate of X and its image. It has to exceed the rounding of GEOS, and the area that it
-        costs should not be seen. At least 1e-11.
+        largest coordinate of X, its image and the disturbance sets, in units in which X reaches to between 1/2 and 1
+        along each axis. It has to exceed the rounding of GEOS, and the area that it costs should not be seen. At
+        least 1e-11.
     max_iterations : int
     prove : bool
         Whether to prove the set in rational arithmetic. Without a proof the verdict is at best "unknown".
@@ -166,17 +197,25 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
     On a boundary of regions every mode counts, so that a single line may be lost; the slack removes a thin strip
     with it. The maximal set itself need not be closed; `set` and `outer` are.
     """
-    every = dynamics(loop)
     slack, max_iterations = positive_number(slack, "slack"), whole_number(max_iterations, "max_iterations", 1)
     if slack < LEAST_SLACK:
         raise ValueError(f"slack must be at least {LEAST_SLACK:g}, above the rounding of GEOS; got {slack:g}")
+    units, every = _own(loop)
+    found = _maximal(units.loop, every, slack, max_iterations, prove)
+    own = None if found.set is None else _rescaled(found.set, units.state)
+    history = [own if S is found.set else _rescaled(S, units.state) for S in found.history]
+    return replace(found, set=own, outer=_rescaled(found.outer, units.state), history=history)
+
+
+def _maximal(loop, every, slack, max_iterations, prove):
+    """`maximal_safe_set` of a loop in its own units."""
     outer = _shrink(loop, every, -slack * _size(every), max_iterations, MOST_LOST)[0][-1]
     outer = outer.sum(_square(slack * _size(every))) & loop.system.state_set if not outer.is_empty else outer
     if _mode_in_doubt(loop, every):
         outer = Region.of(loop.system.state_set)
     if outer.is_empty:
         reason = "X holds no RPI set: every state of it can be driven out of it"
-        return MaximalSafeSet(None, outer, 0, [Region.of(loop.system.state_set)], "refuted", reason, slack)
+        return MaximalSafeSet(None, outer, 0, [Region.of(loop.system.state_set)], "refuted", reason, slack, FLOATS)
     failures = []
     for tried in (*(slack * 10.0**power for power in range(COARSER + 1)), 0.0):
         history, unfinished = _shrink(loop, every, tried * _size(every), max_iterations)
@@ -189,9 +228,9 @@ def maximal_safe_set(loop, *, slack=SLACK, max_iterations=MOST_ITERATIONS, prove
         found = history[-1], outer, len(history) - 1, history
         if not prove:
             return MaximalSafeSet(*found, "unknown", "; ".join([*failures, "not proven, for prove = False"]), tried)
-        check = prove_rpi(loop, history[-1])
+        check = _check(loop, history[-1].pieces)
         if check.verdict == "proven":
-            return MaximalSafeSet(*found, "proven", "; ".join([*failures, check.reason]), tried)
+            return MaximalSafeSet(*found, "proven", "; ".join([*failures, check.reason]), tried, check.settled)
         failures.append(f"with slack {tried:g} {check.reason}")
     return MaximalSafeSet(None, outer, len(history) - 1, history, "unknown", "; ".join(failures), tried)
 
@@ -213,15 +252,22 @@ def carried_out(loop, S):
     Raises
     ------
     ValueError
-        If the loop has not two states, or S is not a set of the plane.
+        If the loop has not two states, Phi leaves U, or S is not a set of the plane.
+    RegionError
+        If GEOS fails.
     """
-    every, X = dynamics(loop), loop.system.state_set
-    targets = Region(_with_area((Region.of(X) - _start(loop, S)).shape)).simplices.points.reshape(-1, 3, 2)
-    lost = []
-    for D, own in _groups(loop, every):
-        chosen = np.flatnonzero(own)
-        lost += [_lost_outside(every, chosen, D, X, 0.0), _lost_into(every, chosen, D, targets, 0.0)]
-    return Region(_union(lost, Region.of(X), 0.0))
+    require_kind(S, (Region, Polytope), "S")
+    units, every = _own(loop)
+    X, lost = units.loop.system.state_set, []
+    try:
+        start = _start(units, S)
+        targets = Region(_with_area((Region.of(X) - start).shape)).simplices.points.reshape(-1, 3, 2)
+        for D, own in _groups(units.loop, every):
+            chosen = np.flatnonzero(own)
+            lost += [_lost_outside(every, chosen, D, X, 0.0), _lost_into(every, chosen, D, targets, 0.0)]
+        return _rescaled(Region(_union(lost, Region.of(X), 0.0)), units.state)
+    except GEOSException as error:
+        raise RegionError(f"GEOS fails on the states that are lost ({error}); try an S with fewer corners") from error
 
 
 def prove_rpi(loop, region):
@@ -242,7 +288,7 @@ def prove_rpi(loop, region):
     Raises
     ------
     ValueError
-        If the region is empty or the loop has not two states.
+        If the region is empty, the loop has not two states, or Phi leaves U.
 
     Notes
     -----
@@ -250,19 +296,28 @@ def prove_rpi(loop, region):
     less the pieces of the region has to be empty (`engines.exact.first_escape`). Neither GEOS nor the float
     cells are trusted; python-flint, and the few lines of `engines/exact.py`, are.
     """
-    require_kind(loop, ClosedLoop, "loop")
     require_kind(region, (Region, Polytope), "region")
+    units, _ = _own(loop)
     region = Region.of(region) if isinstance(region, Polytope) else region
     if region.is_empty:
         raise ValueError("the region is empty; there is nothing to prove")
     pieces = region.pieces
+    return _check(units.loop, Polygons(times(pieces.points, 1 / units.state), pieces.starts), units.state)
+
+
+def _check(loop, pieces, scale=(1.0, 1.0)):
+    """`prove_rpi` of pieces in the units of the loop; an escape is multiplied by `scale`."""
     try:
         escape = exact.first_escape(loop, [pieces[i] for i in range(len(pieces))])
     except ArithmeticError as error:
         return RegionCheck("unknown", None, str(error))
     if escape is not None:
-        return RegionCheck("refuted", escape, f"a step leaves the region: {escape}")
-    return RegionCheck("proven", None, f"no step leaves the {len(pieces)} pieces of the region, in rational arithmetic")
+        parts = [escape.state, escape.disturbance, escape.after]
+        x, d, after = (part and tuple(value * Fraction(s) for value, s in zip(part, scale)) for part in parts)
+        escape = Escape(x, escape.mode, d, after)
+        return RegionCheck("refuted", escape, f"a step leaves the region: {escape}", EXACT)
+    reason = f"no step leaves the {len(pieces)} pieces of the region, in rational arithmetic"
+    return RegionCheck("proven", None, reason, EXACT)
 
 
 def exact_reach(loop, F, steps):
@@ -280,18 +335,26 @@ def exact_reach(loop, F, steps):
     Returns
     -------
     list of steps + 1 Region
-        Up to rounding; only what stays in X goes on. Nothing is proven about them.
+        Up to rounding: images with an area are widened by up to 3e-11 of the size of X and its image at every step,
+        so that no cracks open between them. Only what stays in X goes on. Nothing is proven about them.
 
     Raises
     ------
     ValueError
-        If the loop has not two states, or F is not a set of the plane.
+        If the loop has not two states, Phi leaves U, or F is not a set of the plane.
+    RegionError
+        If a set falls into too many parts to go on, or GEOS fails.
     """
-    every = dynamics(loop)
-    sets = [_start(loop, F)]
-    for _ in range(whole_number(steps, "steps", 0)):
-        sets.append(_image(loop, every, sets[-1]))
-    return sets
+    require_kind(F, (Region, Polytope), "F")
+    steps = whole_number(steps, "steps", 0)
+    units, every = _own(loop)
+    advice = "take fewer steps, start from a smaller F, or cover the sets by a template (outer_reach)"
+    with _named_failures(advice):
+        sets = [_start(units, F)]
+        cells, widening = hulls(every.cells.polygons), CLOSING * _size(every)
+        for _ in range(steps):
+            sets.append(Region(_closed(_images(units.loop, every, cells, sets[-1]), widening, flat=True)))
+    return [_rescaled(R, units.state) for R in sets]
 
 
 def attractor(loop, safe, *, tolerance=1e-3, max_steps=500):
@@ -302,9 +365,10 @@ def attractor(loop, safe, *, tolerance=1e-3, max_steps=500):
     loop : ClosedLoop
     safe : MaximalSafeSet, SafeSet, Region or Polytope
         An RPI set S, from which on the sequence R_k(S) shrinks.
-    tolerance : float
-        The sequence has settled when no point of R_k is farther than this from R_(k+1) (max norm, units of x).
-        What comes later may still shrink by more, if slowly: the rule is about one step.
+    tolerance : float or array (2,)
+        The sequence has settled when no point of R_k is farther than this from R_(k+1) along any axis (units of x).
+        Where the states have different units, give one number for each. What comes later may still shrink by more,
+        if slowly: the rule is about one step.
     max_steps : int
 
     Returns
@@ -314,21 +378,46 @@ def attractor(loop, safe, *, tolerance=1e-3, max_steps=500):
     Raises
     ------
     ValueError
-        If `safe` holds no set.
+        If `safe` holds no set, the loop has not two states, or Phi leaves U.
+    RegionError
+        If a set falls into too many parts to go on, or GEOS fails.
+
+    Notes
+    -----
+    R_k may have ever more corners. Every image is therefore widened by a box and then loses those corners that lie
+    within that margin, so that each set holds the image of the one before it; floats check it, with a margin that
+    covers their rounding. The half-width is 1.5e-11 of the size of X and its image at first. It grows, up to an eighth
+    of the tolerance, where a set would have more than 300 corners. `added` says how much was added.
     """
-    tolerance, max_steps = positive_number(tolerance, "tolerance"), whole_number(max_steps, "max_steps", 1)
+    by_axis, max_steps = _per_axis(tolerance, 2, "tolerance"), whole_number(max_steps, "max_steps", 1)
     S = safe.set if isinstance(safe, (MaximalSafeSet, SafeSet)) else safe
     if S is None:
         raise ValueError(f"there is no safe set to start from: {safe.reason}")
-    every, history, settled = dynamics(loop), [_start(loop, S)], False
-    while not settled and len(history) <= max_steps:
-        history.append(_image(loop, every, history[-1]))
-        settled = history[-2].is_subset(history[-1], tolerance)
-    return Attractor(history[-2], len(history) - 2, history, settled, tolerance)
+    require_kind(S, (Region, Polytope), "safe")
+    units, every = _own(loop)
+    margin, cells, settled, added = by_axis / units.state, hulls(every.cells.polygons), False, 0.0
+    widening = least = CLOSING * _size(every)
+    most, box = max(least, margin.min() / 8), Polytope.box(-margin, margin)
+    with _named_failures("try a larger tolerance, or start from a smaller set"):
+        history = [_start(units, S)]
+        while not settled and len(history) <= max_steps:
+            images = _images(units.loop, every, cells, history[-1])
+            following = _closed(images, widening)
+            while len(shapely.get_coordinates(following)) > MOST_CORNERS and widening < most:
+                widening = min(MORE * widening, most)
+                following = _closed(images, widening)
+            history.append(Region(following))
+            added += 2 * widening
+            if len(shapely.get_coordinates(following)) < MOST_CORNERS / 2:
+                widening = max(widening / MORE, least)
+            settled = history[-2].is_subset(history[-1].sum(box))
+    history = [_rescaled(R, units.state) for R in history]
+    tolerance = by_axis if np.ndim(tolerance) else float(by_axis[0])
+    return Attractor(history[-2], len(history) - 2, history, settled, tolerance, added * units.state)
 
 
-def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, C=None):
-    """The largest bound r for which the loop with D = {d : |d|_inf <= r} in every mode has a safe set, by bisection.
+def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, C=None, weights=1.0):
+    """The largest bound r for which the loop with D = {d : |d_i| <= r w_i} in every mode has a safe set, by bisection.
 
     Parameters
     ----------
@@ -338,11 +427,15 @@ def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, 
         Which safe set: the maximal one (two states), F_max with the template C, or whatever a function of a
         ClosedLoop says (bool).
     accuracy : float
-        In units of d.
+        Of r.
     largest : float or None
-        Where the search ends; None is half the smallest width of X, beyond which D fits into no set in X.
+        Where the search ends; None is the smallest r at which D is as wide as X along some axis, beyond which D fits
+        into no set in X.
     C : array (l, n) or None
         Template of F_max, as in `safe_set`.
+    weights : float or array (n,)
+        w, the shape of D; 1 for D = {d : |d|_inf <= r}, r in units of d. Where the states have different units, give
+        one number for each.
 
     Returns
     -------
@@ -351,7 +444,7 @@ def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, 
     Raises
     ------
     ValueError
-        If there is no such method or an argument is out of range.
+        If there is no such method, an argument is out of range, or Phi leaves U.
 
     Notes
     -----
@@ -361,7 +454,7 @@ def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, 
     differently well. Bisection then finds one bound at which the answer changes from yes to no, of perhaps several.
     """
     require_kind(loop, ClosedLoop, "loop")
-    accuracy, n = positive_number(accuracy, "accuracy"), loop.system.state_size
+    accuracy, weights = positive_number(accuracy, "accuracy"), _per_axis(weights, loop.system.state_size, "weights")
     holds = (
         {
             "maximal": _has_safe_region,
@@ -372,13 +465,14 @@ def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, 
     )
     if not isinstance(holds, Callable):
         raise ValueError(f'method must be "maximal", "template" or a function of a loop; got {method!r}')
+    require_inputs(loop)
     if largest is None:
         lower, upper = loop.system.state_set.bounding_box()
-        largest = (upper - lower).min() / 2
+        largest = ((upper - lower) / weights).min() / 2
     low, high, tried = 0.0, positive_number(largest, "largest"), 2
 
     def exists(r):
-        return bool(holds(loop.with_disturbance(Polytope.box(np.full(n, -r), np.full(n, r)))))
+        return bool(holds(loop.with_disturbance(Polytope.box(-r * weights, r * weights))))
 
     if not exists(low):
         return LargestDisturbance(np.nan, low, 1)
@@ -392,8 +486,8 @@ def largest_disturbance(loop, method="maximal", *, accuracy=1e-4, largest=None, 
 
 def _has_safe_region(loop):
     """Whether the iteration of `maximal_safe_set` comes to rest before nothing is left."""
-    every = dynamics(loop)
-    history, unfinished = _shrink(loop, every, SLACK * _size(every), MOST_ITERATIONS, MOST_LOST)
+    units, every = _own(loop)
+    history, unfinished = _shrink(units.loop, every, SLACK * _size(every), MOST_ITERATIONS, MOST_LOST)
     return not unfinished and not history[-1].is_empty
 
 
@@ -408,9 +502,10 @@ def _mode_in_doubt(loop, every):
     for number, mode in enumerate(loop.system.modes):
         own = np.flatnonzero(found.mode == number)
         part = polygons.take(own)
-        reach = domain.support(mode.region.H) - mode.region.h
-        for row, offset, excess in zip(mode.region.H, mode.region.h, reach):
-            if not row[2:].any() or not len(own) or excess <= near * np.linalg.norm(row):  # such as a limit of U itself
+        for row, offset in zip(mode.region.H, mode.region.h):
+            if not row[2:].any() or not len(own):
+                continue
+            if domain.support(row[None])[0] - offset <= near * np.linalg.norm(row):  # such as a limit of U itself
                 continue
             a, b = row[:2] + row[2:] @ found.K[own], offset - found.g[own] @ row[2:]
             flat = np.linalg.norm(a, axis=1) < STEEP * np.linalg.norm(row)
@@ -429,22 +524,32 @@ def _shrink(loop, every, slack, max_iterations, most_triangles=MOST_TRIANGLES):
     `slack` (units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
     negative for a set around it: only what is lost by more than that carries on. At 0 there is no margin.
     """
+    history = [Region.of(_inset(loop.system.state_set, max(slack, 0.0)))]
+    try:
+        return history, _shrunk(loop, every, slack, max_iterations, most_triangles, history)
+    except GEOSException as error:  # what was found before is found all the same
+        return history, f"GEOS fails on S_{len(history)} ({error})"
+
+
+def _shrunk(loop, every, slack, max_iterations, most_triangles, history):
+    """Append S_1, S_2, ... to [S_0]; why the last of them is not the end of the sequence ("" if it is)."""
     groups = _groups(loop, every)
     shapes = hulls(every.cells.polygons)
     lost = [_lost_outside(every, np.flatnonzero(own), D, loop.system.state_set, slack) for D, own in groups]
-    S = Region.of(_inset(loop.system.state_set, max(slack, 0.0)))
-    history = [S]
+    S, box = history[0], loop.system.state_set.bounding_box()
     for _ in range(max_iterations):
         gone = _union(lost, S, slack)
-        following = Region(_with_area(overlay(shapely.difference, S.shape, gone)))
+        following = Region(_within(_with_area(overlay(shapely.difference, S.shape, gone)), *box))
         fresh = Region(_with_area(overlay(shapely.intersection, S.shape, gone)))
         if _is_thin(fresh, S, abs(slack)):
-            return [*history, following] if fresh.area else history, ""
+            if fresh.area:
+                history.append(following)
+            return ""
         history.append(following)
         if following.is_empty:
-            return history, ""
+            return ""
         if len(following.simplices) > most_triangles:
-            return history, f"S_{len(history) - 1} has more than {most_triangles} triangles"
+            return f"S_{len(history) - 1} has more than {most_triangles} triangles"
         if slack < 0:
             fresh = S.sum(_square(-slack)) - following.sum(_square(-slack))
         targets = Region(_with_area(fresh.shape)).simplices.points.reshape(-1, 3, 2)
@@ -452,7 +557,7 @@ def _shrink(loop, every, slack, max_iterations, most_triangles=MOST_TRIANGLES):
         alive = shapely.dwithin(following.shape, shapes, abs(slack))
         lost = [_lost_into(every, np.flatnonzero(own & alive), D, targets, max(slack, 0.0)) for D, own in groups]
         S = following
-    return history, f"max_iterations = {max_iterations} came first"
+    return f"max_iterations = {max_iterations} came first"
 
 
 def _groups(loop, every):
@@ -525,7 +630,10 @@ def _is_thin(fresh, S, slack):
 
 
 def _inset(X, slack):
-    """X with those sides moved inward whose corners, rounded to floats, might lie outside of X."""
+    """X with those sides moved inward whose corners, rounded to floats, might lie outside of X.
+
+    Rows x_i <= h, which hold for a float or not, stay: in own units those of an entry that is a power of two.
+    """
     kept = [sorted(np.abs(a)) == [0, 1] for a in X.H]
     return Polytope(X.H, X.h - np.where(kept, 0.0, slack) * np.linalg.norm(X.H, axis=1))
 
@@ -536,9 +644,20 @@ def _with_area(shape):
     return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
 
 
+def _within(shape, lower, upper):
+    """A shapely geometry in the box that it lies in up to rounding: the grid of GEOS may move corners out of it."""
+    points = shapely.get_coordinates(shape)
+    if (points >= lower).all() and (points <= upper).all():
+        return shape
+    inside = shapely.transform(shape, lambda x: np.clip(x, lower, upper))
+    return inside if shapely.is_valid(inside) else shape
+
+
 def _size(every):
-    """The largest coordinate of X, its image and the disturbance sets, rounded up to a power of two."""
-    return every.unit / UNIT
+    """The largest coordinate of X, its image and the disturbance sets."""
+    points, owner = every.cells.polygons.points, every.cells.polygons.owner
+    parts = points, every.images(points, owner), *every.corners
+    return float(max(np.abs(part).max(initial=0.0) for part in parts))
 
 
 def _square(r):
@@ -546,38 +665,141 @@ def _square(r):
     return Polytope.box([-r, -r], [r, r])
 
 
+# -- units --------------------------------------------------------------------------------------------
+
+
+def _own(loop):
+    """The Units of a loop and the cells of the loop in them, after what all functions here require was checked."""
+    require_kind(loop, ClosedLoop, "loop")
+    require_inputs(loop)
+    units = own_units(loop)
+    return units, dynamics(units.loop)
+
+
+def _start(units, F):
+    """F & X as a Region in own units."""
+    if isinstance(F, Polytope) and F.dimension == 2:
+        F = units.polytope(F)
+    own = _rescaled(F, 1 / units.state) if isinstance(F, Region) else Region.of(F)
+    return own & units.loop.system.state_set
+
+
+def _rescaled(R, factor):
+    """{factor x : x in R} for powers of two: the same corners, triangles and pieces, without rounding."""
+    shape = shapely.transform(R.shape, lambda x: times(x, factor))
+    made = Region(shape)
+    for name in ("simplices", "pieces"):
+        if name in R.__dict__:
+            parts = R.__dict__[name]
+            made.__dict__[name] = Polygons(times(parts.points, factor), parts.starts)
+    return made
+
+
+def _per_axis(value, n, name):
+    """A positive number, or one for each of n axes, as an array (n,)."""
+    if np.ndim(value) == 0:
+        return np.full(n, positive_number(value, name))
+    array = real_array(value, name, 1)
+    if len(array) != n or not (array > 0).all():
+        raise ValueError(f"{name} must be a positive number or {n} of them; got {value!r:.80}")
+    return array
+
+
+@contextmanager
+def _named_failures(advice):
+    """Turn what GEOS raises into a RegionError that says what to do."""
+    try:
+        yield
+    except GEOSException as error:
+        raise RegionError(f"GEOS finds no answer for a set of that many corners ({error}); {advice}") from error
+    except _TooManyParts as error:
+        raise RegionError(f"{error}; {advice}") from error
+
+
+class _TooManyParts(Exception):
+    """An image falls into more than `MOST_PARTS` parts."""
+
+
 # -- forwards -----------------------------------------------------------------------------------------
 
 
-def _start(loop, F):
-    """F & X as a Region."""
-    require_kind(loop, ClosedLoop, "loop")
-    require_kind(F, (Region, Polytope), "F")
-    return Region.of(F) & loop.system.state_set
+def _images(loop, every, shapes, R):
+    """The images of all parts of cells within R, each widened by the D of its mode: Polygons.
+
+    `shapes` are the cells as shapely geometries. A cell that lies in R counts as a whole.
+    """
+    cells = every.cells.polygons
+    shapely.prepare(R.shape)
+    whole = shapely.covers(R.shape, shapes)
+    which = np.flatnonzero(whole)
+    batches = [(cells.take(which), which)]
+    cut = np.flatnonzero(~whole & shapely.dwithin(R.shape, shapes, 2 * TOUCH * _size(every)))
+    if len(cut):
+        batches.append(_parts(every, cut, R.simplices))
+    images = []
+    for part, which in batches:
+        image = Polygons(every.images(part.points, which[part.owner]), part.starts)
+        for D, own in _groups(loop, every):
+            chosen, corners = image.take(np.flatnonzero(own[which])), D.vertices()
+            points = (chosen.points[:, None] + corners).reshape(-1, 2)
+            images.append(Polygons(points, chosen.starts * len(corners)))
+    return Polygons.join(images)
 
 
-def _image(loop, every, R):
-    """R_1(R): the images of all parts of cells within R, each widened by the D of its mode."""
-    pieces, cells = R.simplices, every.cells.polygons
-    touch = TOUCH * _size(every)
+def _parts(every, chosen, pieces):
+    """The parts of chosen cells within pieces: Polygons, and the cell each comes from."""
+    cells, touch = every.cells.polygons.take(chosen), TOUCH * _size(every)
     starts, ends = pieces.least(pieces.points) - touch, pieces.largest(pieces.points) + touch
     near = (cells.least(cells.points)[:, None] <= ends).all(axis=2)
     near &= (cells.largest(cells.points)[:, None] >= starts).all(axis=2)
+    if near.sum() > MOST_PARTS:
+        raise _TooManyParts(f"the image of a set falls into more than {MOST_PARTS} parts")
     which, piece = np.nonzero(near)
     A, b = _sides(pieces)
     part = cells.take(which)
     for row in range(A.shape[1]):
         part, left = part.clip(A[piece, row], b[piece, row], touch)
         which, piece = which[left], piece[left]
-    images = Polygons(every.images(part.points, which[part.owner]), part.starts)
-    shapes = [np.zeros(0, object)]
-    for D in {mode.disturbance for mode in loop.system.modes}:
-        own = [number for number, mode in enumerate(loop.system.modes) if mode.disturbance is D]
-        chosen = images.take(np.flatnonzero(np.isin(every.cells.mode[which], own)))
-        corners = D.vertices()
-        points = (chosen.points[:, None] + corners).reshape(-1, 2)
-        shapes.append(hulls(Polygons(points, chosen.starts * len(corners))))
-    return Region(_without_specks(overlay(shapely.union_all, np.concatenate(shapes)), touch))
+    return part, chosen[which]
+
+
+def _closed(polygons, widening, flat=False):
+    """A shapely geometry that holds polygons, each widened by a box, and lies within twice that widening of them.
+
+    Widened polygons overlap where they share an edge, so that no cracks are left; corners that lie closer than `FEWER`
+    times the widening to the boundary without them are left out. With `flat`, polygons without area that stick out
+    are not widened.
+    """
+    if not len(polygons):
+        return shapely.Polygon()
+    shapes, lines = hulls(polygons), []
+    if flat:
+        solid = shapely.get_dimensions(shapes) == 2
+        lines, shapes = shapes[~solid], shapes[solid]
+        polygons = polygons.take(np.flatnonzero(solid))
+    wide = hulls(polygons, widening)
+    found = _union_of_wide(wide, shapes, widening) if len(wide) else shapely.Polygon()
+    if len(lines):
+        shapely.prepare(found)
+        lines = lines[~shapely.covers(found, lines)]
+        found = overlay(shapely.union_all, [found, *lines]) if len(lines) else found
+    return found
+
+
+def _union_of_wide(wide, shapes, widening):
+    """The union of widened polygons with fewer corners, which holds `shapes`, those that are not widened."""
+    failure = "corners lie too close together"
+    for grid in GRIDS * widening:
+        try:
+            union = shapely.union_all(wide, grid_size=2.0 ** np.floor(np.log2(grid)))
+            for moved in (FEWER, FEWER / 8, 0.0):
+                found = shapely.simplify(union, moved * widening) if moved else union
+                shapely.prepare(found)
+                if shapely.is_valid(found) and shapely.covers(found, shapes).all():
+                    return found
+        except GEOSException as error:
+            failure = error
+    raise GEOSException(f"no union holds the parts of an image: {failure}")
 
 
 def _sides(pieces):
@@ -596,14 +818,3 @@ def _sides(pieces):
             across = np.array([-along[1], along[0]]) / max(np.linalg.norm(along), np.finfo(float).tiny)
             A[i, :3] = across, -across, across
     return A, pieces.largest(np.einsum("trj,tj->tr", A[pieces.owner], pieces.points))
-
-
-def _without_specks(shape, touch):
-    """A shapely geometry without those segments and points that lie within `touch` of its polygons."""
-    parts = shapely.get_parts(shapely.get_parts(shape))
-    flat = shapely.get_dimensions(parts) < 2
-    if not flat.any() or flat.all():
-        return shape
-    solid = shapely.union_all(parts[~flat])
-    near = Region(solid).sum(_square(touch)).shape
-    return shapely.union_all([solid, *(part for part in parts[flat] if not shapely.covers(near, part))])
