@@ -1,7 +1,8 @@
 """Small random certificates, mutations of their text, and an oracle of claims that shares no code with the checker.
 
-The oracle reads the text itself, lists corners by brute force in fractions, replays random steps in fractions, and asks
-the exact engine and `prove_error` about a loop that it builds from the floats of the text.
+The oracle reads the text itself, every number as the float that it is, lists corners by brute force in fractions,
+replays random steps in fractions, and asks the exact engine and `prove_error` about a loop that it builds from the
+floats of the text.
 """
 
 import json
@@ -9,8 +10,9 @@ import re
 import warnings
 from dataclasses import replace
 from fractions import Fraction
-from functools import cached_property, lru_cache, wraps
-from itertools import combinations
+from functools import cache, cached_property, lru_cache, wraps
+from itertools import combinations, pairwise, product
+from math import gcd, lcm
 from unittest.mock import patch
 
 import numpy as np
@@ -25,7 +27,6 @@ from mireach.engines import exact
 SAMPLES = 3  # corners, and random states, that are replayed for one image
 SMALLEST, LARGEST = Fraction("1e-300"), 10**15  # beyond these the engines' floats are of no use: fractions alone judge
 UNDECIDED = 1e-11  # a criterion closer to equality than this is not judged by the oracle's floats
-ROUNDED = 1e-12  # what an image may exceed if the text has numbers that are no shortest decimal of a float
 ERROR = 1e-9  # by which `prove_error` ends its search
 
 # -- builders -----------------------------------------------------------------------------------------
@@ -358,8 +359,13 @@ def outcome(text, ignore_digest=True, seconds=60):
 def false_claims(text, report):
     """The names of claims that the report calls proven and the oracle does not confirm."""
     proven = [result.claim for result in report.results if result.verdict == "proven"]
-    oracle = Oracle(json.loads(text, parse_int=Fraction, parse_float=Fraction)) if proven else None
+    oracle = Oracle(json.loads(text, parse_int=number, parse_float=number)) if proven else None
     return [name for name in proven if not oracle.confirms(name)]
+
+
+def number(text):
+    """The float that a numeral stands for, exactly."""
+    return Fraction(float(text))
 
 
 def dot(a, x):
@@ -373,22 +379,30 @@ def holds(rows, x):
 
 def corners_of(rows):
     """The corners of a bounded set of the plane: every crossing of two lines that satisfies all rows."""
-    found = set()
-    for (a, b), (c, d) in combinations(rows, 2):
-        turn = a[0] * c[1] - a[1] * c[0]
+    found, lines = set(), {whole_row(a, b) for a, b in rows}
+    for (a, b, c), (d, e, f) in combinations(lines, 2):
+        turn = a * e - b * d
         if turn:
-            x = ((b * c[1] - d * a[1]) / turn, (a[0] * d - c[0] * b) / turn)
-            if x not in found and holds(rows, x):
-                found.add(x)
+            turn, x, y = (turn, c * e - f * b, a * f - d * c) if turn > 0 else (-turn, f * b - c * e, d * c - a * f)
+            if all(u * x + v * y <= w * turn for u, v, w in lines):
+                found.add((Fraction(x, turn), Fraction(y, turn)))
     return sorted(found)
 
 
+def whole_row(a, b):
+    """The row a x <= b of fractions as whole numbers without a common divisor."""
+    unit = lcm(*(entry.denominator for entry in (*a, b)))
+    row = [int(entry * unit) for entry in (*a, b)]
+    common = gcd(*row) or 1
+    return tuple(entry // common for entry in row)
+
+
 def growth_of(rows_before, corners, c):
-    """The largest alpha with c + alpha (x - c) in {rows_before} for all corners x; None if c is not inside."""
+    """The largest alpha >= 0 with c + alpha (x - c) in {rows_before} for all corners x; None if c is not inside."""
     shares = []
     for a, b in rows_before:
         size = max(dot(a, x) for x in corners) - dot(a, c)
-        if size <= 0:
+        if size <= 0 or b < dot(a, c):
             return None
         shares.append((b - dot(a, c)) / size)
     return min(shares)
@@ -396,11 +410,6 @@ def growth_of(rows_before, corners, c):
 
 def rows_of(value):
     return list(zip(value["H"], value["h"]))
-
-
-def binary(value):
-    """Fractions of decimals as those of their floats; lists entry by entry."""
-    return [binary(entry) for entry in value] if isinstance(value, list) else Fraction(float(value))
 
 
 def floats(value):
@@ -411,7 +420,7 @@ def polytope(value):
     return mr.Polytope(floats(value["H"]), floats(value["h"]))
 
 
-def is_below(bounds, offsets, slack):
+def is_below(bounds, offsets, slack=0.0):
     """Whether floats lie below floats, or above by no more than `slack` relative to them."""
     return bool((bounds <= offsets + slack * (1 + np.abs(offsets))).all())
 
@@ -435,18 +444,19 @@ _ANSWERS = {}
 
 
 class Oracle:
-    """What is true of a content whose numbers are Fractions; a method for every claim."""
+    """What is true of a content whose numbers are Fractions of floats; a method for every claim."""
 
     def __init__(self, content):
         self.content, self.system, self.claims = content, content["system"], content["claims"]
-        self.C, self.sets = binary(content["template"]), binary(content["sets"])
+        self.C, self.sets = content["template"], content["sets"]
         self.n = len(self.C[0])
+        for mode in self.system["modes"]:  # a mode acts where the input lies in U
+            mode["region"]["H"] += [[Fraction(0)] * self.n + row for row in self.system["input_set"]["H"]]
+            mode["region"]["h"] += self.system["input_set"]["h"]
         numbers = [get(self.system, path) for path in nodes(self.system)]
         numbers = [value for value in numbers if isinstance(value, Fraction)]
         self.world = repr((self.system, content["network"], self.C))
         self.beyond_floats = any(value and not SMALLEST < abs(value) < LARGEST for value in numbers)
-        rounded = not self.beyond_floats and any(Fraction(repr(float(value))) != value for value in numbers)
-        self.slack = ROUNDED if rounded else 0.0
         self.rng, self.known, self.corners = np.random.default_rng(0), {}, {}
 
     def confirms(self, *names):
@@ -471,7 +481,7 @@ class Oracle:
         for a, b in U:
             loop = self._loop([(np.zeros((2, 2)), [floats(a), 0 * floats(a)], np.zeros(2), None, None)], a)
             top = mr.support(loop, around, [[1.0, 0.0]], engine="exact").bound[0]
-            if top > np.nextafter(float(b), np.inf) + self.slack * (1 + abs(float(b))):
+            if top > np.nextafter(float(b), np.inf):
                 return False
         return True
 
@@ -517,7 +527,8 @@ class Oracle:
             return True
         X, U = self.X, polytope(self.system["input_set"])
         components = [
-            [(t["coefficient"], [int(power) for power in t["powers"]]) for t in f] for f in self.content["plant"]["f"]
+            [(Fraction(t["coefficient"]), [int(power) for power in t["powers"]]) for t in f]
+            for f in self.content["plant"]["f"]
         ]
 
         def f(x, u):
@@ -621,8 +632,14 @@ class Oracle:
         if self.beyond_floats:
             return True
         C = floats(self.C)
-        bound = mr.support(self.loop, mr.Polytope(C, floats(self.sets[k])), C, engine="exact").bound
-        return is_below(bound, floats(self.sets[j]), self.slack)
+        try:
+            bound = mr.support(self.loop, mr.Polytope(C, floats(self.sets[k])), C, engine="exact").bound
+        except ValueError:  # the engine wants at least one state on which a mode acts
+            lower, upper = self.X.bounding_box()
+            x = self.rng.uniform(lower, upper, (2000, 2))
+            z = np.hstack([x, self.network(x)])
+            return not any((z @ region.H.T <= region.h).all(axis=1).any() for _, _, _, region, _ in self._modes)
+        return is_below(bound, floats(self.sets[j]))
 
     @remembered
     def _has_successors(self, k):
@@ -650,3 +667,273 @@ def _power(z, powers):
         for _ in range(power):
             found = found * base
     return found
+
+
+# -- small worlds, by brute force ---------------------------------------------------------------------
+
+
+class World:
+    """What is true of a content of few small numbers, by brute force in fractions; `verdict` for every claim.
+
+    Phi is affine for every choice of a channel per neuron of its one hidden layer. Whatever the loop does to a set is
+    decided in the corners of the sets {x in the set, choice wins, (x, u) in the region, u in U}, all of them crossings
+    of two lines. A gap between them is as large as a face of all those lines.
+    """
+
+    def __init__(self, content):
+        self.content, self.claims, system = content, content["claims"], content["system"]
+        self.sets = [[(fractions(a), Fraction(b)) for a, b in zip(content["template"], h)] for h in content["sets"]]
+        self.X, self.U = exact_rows(system["state_set"]), exact_rows(system["input_set"])
+        self.modes = [
+            (
+                [fractions((*A, *B)) for A, B in zip(mode["A"], mode["B"])],
+                fractions(mode["p"]),
+                exact_rows(mode["region"]),
+                corners_of(exact_rows(mode["disturbance"])),
+            )
+            for mode in system["modes"]
+        ]
+        self.last, self.corners = len(self.sets) - 1, [corners_of(rows) for rows in self.sets]
+        self.known, self.images = {}, {}
+        self.choices = list(self._choices(content["network"]))
+
+    def _choices(self, network):
+        """(K, g) of u = K x + g and the rows where it holds, for every choice of channels; K has a row per input."""
+        output = [fractions((*w, b)) for w, b in zip(network["output"]["weight"], network["output"]["bias"])]
+        if not network["hidden"]:
+            yield output, []
+            return
+        (layer,) = network["hidden"]
+        channels = [fractions((*w, b)) for w, b in zip(layer["weight"], layer["bias"])]
+        groups = [channels[i : i + layer["pool"]] for i in range(0, len(channels), layer["pool"])]
+        for won in product(*groups):
+            rows = [
+                ((other[0] - own[0], other[1] - own[1]), own[2] - other[2])
+                for own, group in zip(won, groups)
+                for other in group
+            ]
+            yield (
+                [(*(dot(row[:-1], [f[i] for f in won]) + row[-1] * (i == 2) for i in range(3)),) for row in output],
+                rows,
+            )
+
+    def _cells(self, rows):
+        """(mode, u, rows): where a mode acts on the set, with its affine input."""
+        for u, wins in self.choices:
+            for mode in self.modes:
+                limits = [*mode[2], *(((0, 0, *a), b) for a, b in self.U)]
+                inside = [
+                    (tuple(a[i] + dot(a[2:], [f[i] for f in u]) for i in range(2)), b - dot(a[2:], [f[2] for f in u]))
+                    for a, b in limits
+                ]
+                yield mode, u, [*rows, *self.X, *wins, *inside]
+
+    def _images(self, rows):
+        """The corners of the image of a set, of which the image is in the hull, each piece by itself."""
+        for (AB, p, _, D), u, all_rows in self._cells(rows):
+            for x in corners_of(all_rows):
+                z = (*x, *(dot(f, (*x, 1)) for f in u))
+                after = [dot(a, z) + e for a, e in zip(AB, p)]
+                yield from ([a + e for a, e in zip(after, d)] for d in D)
+
+    def _has_gap(self):
+        """Between the corners of all lines, from left to right, every face has a point in one of these columns."""
+        rows, ends = self.sets[0], self.corners[0]
+        cells = [inside for _, _, inside in self._cells(rows)]
+        lines = {row for inside in cells for row in inside if any(row[0])}
+        if len(ends) == 2:
+            columns = [line_through(*ends)]
+        else:
+            stops = sorted({x[0] for pair in combinations(lines, 2) for x in crossing(*pair) if holds(rows, x)})
+            columns = [((Fraction(1), Fraction(0)), (a + b) / 2) for a, b in pairwise(stops)]
+        points = list(ends)
+        for column in columns:
+            stops = sorted({x for line in lines for x in crossing(column, line) if holds(rows, x)})
+            points += [tuple((a + b) / 2 for a, b in zip(*pair)) for pair in pairwise(stops)]
+        return any(not any(holds(inside, x) for inside in cells) for x in points)
+
+    def verdict(self, name):
+        if name not in self.known:
+            self.known[name] = getattr(self, name)()
+        return self.known[name]
+
+    def replays(self, claim, witness):
+        """Whether a witness against `claim` is one: a state without a successor, or a step that leads out."""
+        x, u = fractions(witness["state"]), None
+        for f, wins in self.choices:
+            if holds(wins, x):
+                u = [dot(row, (*x, 1)) for row in f]
+        acting = [mode for mode in self.modes if holds(self.X, x) and holds(self.U, u) and holds(mode[2], (*x, *u))]
+        if claim == "inputs":
+            return holds(self.X, x) and not holds(self.U, u)
+        if witness.keys() == {"state"}:
+            beyond = any(holds(rows, x) for rows in self.sets) and not holds(self.sets[0], x)
+            return beyond or (holds(self.sets[0], x) and not acting)
+        mode, d = self.modes[witness["mode"] - 1], fractions(witness["disturbance"])
+        after = [dot(a, (*x, *u)) + e + w for a, e, w in zip(mode[0], mode[1], d)]
+        pairs = {"safe_set": [(0, 0)], "terminal_set": [(self.last, self.last)]}
+        pairs = pairs.get(claim, [(k, k + 1) for k in range(self.last)])
+        leads_out = any(holds(self.sets[k], x) and not holds(self.sets[j], after) for k, j in pairs)
+        in_box = all(min(e) <= w <= max(e) for w, e in zip(d, zip(*mode[3])))
+        return mode in acting and in_box and leads_out and after == list(fractions(witness["after"]))
+
+    def inputs(self):
+        bad = any(
+            not holds(self.U, [dot(f, (*x, 1)) for f in u])
+            for u, wins in self.choices
+            for x in corners_of([*self.X, *wins])
+        )
+        return "refuted" if bad else "proven"
+
+    def safe_set(self):
+        F = self.corners[0]
+        fine = F and all(holds(self.X, x) for x in F) and not self._has_gap() and self._leads(0, 0)
+        return "proven" if fine else "refuted"
+
+    def _leads(self, k, j):
+        if k not in self.images:
+            self.images[k] = list(self._images(self.sets[k]))
+        return all(holds(self.sets[j], x) for x in self.images[k])
+
+    def _within(self, k):
+        return all(holds(self.sets[0], x) and holds(self.X, x) for x in self.corners[k])
+
+    def sequence(self):
+        return "proven" if all(self._within(k) and self._leads(k, k + 1) for k in range(self.last)) else "refuted"
+
+    def terminal_set(self):
+        if self.claims["terminal_set"]["steps"] != self.last:
+            return "refuted"
+        if "refuted" in (self.verdict("safe_set"), self.verdict("sequence")):
+            return "not checked"
+        return "proven" if self._within(self.last) and self._leads(self.last, self.last) else "refuted"
+
+    def criterion(self):
+        claim = self.claims["criterion"]
+        if (self.verdict("safe_set"), self.verdict("terminal_set")) != ("proven", "proven"):
+            return "not checked"
+        return "proven" if self.criterion_holds() == claim["holds"] else "refuted"
+
+    def criterion_holds(self):
+        claim = self.claims["criterion"]
+        c, epsilon = fractions(claim["centre"]), Fraction(claim["epsilon"])
+        if not holds(self.sets[-1], c):
+            return False
+        smaller = [tuple(m + (e - m) / (1 + epsilon) for e, m in zip(x, c)) for x in self.corners[-1]]
+        S = [(a, dot(a, c) + (b - dot(a, c)) / (1 + epsilon)) for a, b in self.sets[-1]]
+        images = list(self._images(S))
+        return all(any(dot(a, y) >= max(dot(a, x) for x in smaller) for y in images) for a, _ in S)
+
+    def alpha(self):
+        return growth_of(self.sets[-2], self.corners[-1], fractions(self.claims["theorem_1"]["centre"]))
+
+    def theorem_1(self):
+        claim, alpha = self.claims["theorem_1"], self.alpha() if self.corners[-1] else None
+        stable = alpha is not None and alpha > 1
+        if not self.corners[-1] or (claim["alpha"], claim["stable"]) != (alpha and str(alpha), stable):
+            return "refuted"
+        rests = [self.verdict(name) for name in ("inputs", "safe_set", "sequence", "terminal_set")]
+        return "proven" if not stable or set(rests) == {"proven"} else "not checked"
+
+
+def fractions(values):
+    return tuple(map(Fraction, values))
+
+
+def exact_rows(value):
+    return [(fractions(a), Fraction(b)) for a, b in zip(value["H"], value["h"])]
+
+
+def line_through(x, y):
+    """The row (a, b) of the line a x = b through two points."""
+    a = (x[1] - y[1], y[0] - x[0])
+    return a, dot(a, x)
+
+
+def crossing(row, other):
+    """The point in which two lines a x = b meet, in a list that is empty if they are parallel."""
+    (a, b), (c, d) = row, other
+    turn = a[0] * c[1] - a[1] * c[0]
+    return [((b * c[1] - d * a[1]) / turn, (a[0] * d - c[0] * b) / turn)] if turn else []
+
+
+@cache
+def small_world(seed):
+    """A World whose answers are kept."""
+    return World(small_content(seed))
+
+
+def small_content(seed):
+    """A content for `World`: ties, jumps, overlaps, gaps, flat sets, sets that fit exactly or fail by one ulp."""
+    rng = np.random.default_rng(seed)
+
+    def draw(size, top, unit):
+        return (rng.integers(-top, top + 1, size) / unit).tolist()
+
+    m, square = int(rng.integers(1, 3)), [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
+    hidden, inner = [], 2
+    if rng.random() < 0.7:
+        hidden, inner = [{"weight": draw((4, 2), 2, 1), "bias": draw(4, 1, 2), "pool": 2}], 2
+    output = {"weight": draw((m, inner), 2, 4), "bias": draw(m, 1, 4)}
+    limit = float(rng.choice([0.75, 8.0, 8.0, 8.0]))
+    U = {"H": [[s * (i == j) for j in range(m)] for i in range(m) for s in (1.0, -1.0)], "h": [limit] * 2 * m}
+    kind = rng.choice(["one", "two", "gap", "overlap", "three"])
+    a, b = draw(2, 1, 1) + draw(m, 1, 2), draw((), 2, 4)
+    regions = [([a], [b]), ([[-e for e in a]], [-b - {"gap": 2.0**-20, "overlap": -0.25}.get(kind, 0.0)])]
+    if kind == "one":
+        regions = [([[0.0] * (2 + m)], [0.0])]
+    if kind == "three":
+        more = draw(2 + m, 1, 1)
+        regions = [regions[0], *((regions[1][0] + [[s * e for e in more]], regions[1][1] + [0.0]) for s in (1.0, -1.0))]
+    modes = []
+    for H, h in regions:
+        r, middle = draw(2, 1, 16), draw(2, 1, 16)
+        D = [middle[0] + abs(r[0]), middle[1] + abs(r[1]), abs(r[0]) - middle[0], abs(r[1]) - middle[1]]
+        one = {"A": draw((2, 2), 3, 8), "B": draw((2, m), 1, 8), "p": draw(2, 1, 8), "region": {"H": H, "h": h}}
+        modes.append({**one, "disturbance": {"H": square, "h": D}})
+    template = square + [[1.0, 1.0], [-1.0, 1.0]] * bool(rng.integers(2))
+    F = [1.0] * 4 + [float(rng.choice([1.5, 2.0]))] * (len(template) - 4)
+    if rng.random() < 0.1:
+        F[0], F[2] = 0.5, -0.5  # flat
+    scale = float(rng.choice([1.0, 0.25, 0.75, 3.0]))
+    template, F = [[scale * entry for entry in row] for row in template], [scale * entry for entry in F]
+    X = {"H": square, "h": [float(rng.choice([1.0, 1.0, 1.0, 0.875, 2.0]))] * 4}
+    content = {
+        "format": "mireach-certificate/1",
+        "system": {"modes": modes, "state_set": X, "input_set": U},
+        "network": {"format": "mireach-network/1", "hidden": hidden, "output": output},
+        "template": template,
+        "sets": [F],
+        "claims": {"inputs": {}, "safe_set": {}},
+    }
+    epsilon, steps = float(rng.choice([0.125, 0.1, 1.0])), int(rng.integers(1, 4))
+    for _ in range(steps):
+        world, before = World(content), content["sets"][-1]
+        images = list(world._images(world.sets[-1]))
+        top = [max([dot(fractions(a), y) for y in images], default=Fraction(0)) for a in template]
+        following = [min(up(value), b) for value, b in zip(top, before)]
+        if rng.random() < 0.1:
+            i = int(rng.integers(len(template)))
+            following[i] = float(np.nextafter(following[i], -np.inf))
+        content["sets"].append(before if rng.random() < 0.1 else following)
+    centre = rng.choice([0.0, 0.125, 0.25, 1.0], 2, p=[0.6, 0.2, 0.1, 0.1]).tolist()
+    content["claims"] |= {
+        "sequence": {},
+        "terminal_set": {"steps": steps if rng.random() < 0.9 else steps + int(rng.choice([-1, 1]))},
+        "criterion": {"epsilon": epsilon, "centre": centre, "holds": True},
+        "theorem_1": {"alpha": None, "centre": centre, "stable": False},
+    }
+    world = World(content)
+    alpha = world.alpha() if world.corners[-1] else None
+    content["claims"]["criterion"]["holds"] = bool(world.criterion_holds()) != bool(rng.random() < 0.1)
+    told = alpha if rng.random() < 0.9 else Fraction(1)
+    content["claims"]["theorem_1"]["alpha"] = None if told is None else str(told)
+    content["claims"]["theorem_1"]["stable"] = bool(alpha is not None and alpha > 1) != bool(rng.random() < 0.1)
+    content["claims"] = {name: {"verdict": "proven", **claim} for name, claim in content["claims"].items()}
+    return content
+
+
+def up(value):
+    """The smallest float that is not below a fraction."""
+    near = float(value)
+    return near if Fraction(near) >= value else float(np.nextafter(near, np.inf))

@@ -3,6 +3,8 @@
 import json
 import subprocess
 import sys
+import time
+import tracemalloc
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +23,7 @@ from certificates import (
     outcome,
     put,
     random_certificate,
+    small_world,
 )
 
 from mireach import checker
@@ -30,6 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = {name: ROOT / "data" / name / "certificate.json" for name in ("pwa", "double_integrator")}
 SQUARE = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
 SEEDS = 8  # small certificates that every kind of mutation meets
+WORLDS = 120  # small contents whose every verdict is found by brute force
 SHIPPED_SEEDS = {"pwa": 2, "double_integrator": 1}  # mutations of each of some kinds
 
 
@@ -90,23 +94,48 @@ def verdict(value, claim="safe_set"):
     return check(value)[claim].verdict
 
 
+# -- all verdicts, by brute force ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tens", range(WORLDS // 10))
+def test_every_verdict_is_that_of_brute_force_and_every_witness_replays(tens):
+    for seed in range(10 * tens, 10 * tens + 10):
+        world = small_world(seed)
+        for claim, found in check(world.content).items():
+            assert found.verdict == world.verdict(claim), (seed, claim, found)
+            assert found.witness is None or world.replays(claim, found.witness), (seed, claim, found)
+
+
+def test_small_worlds_have_every_verdict_of_every_claim():
+    seen = {
+        (claim, found.verdict) for seed in range(WORLDS) for claim, found in check(small_world(seed).content).items()
+    }
+    either = {(claim, verdict) for claim in checker.CLAIMS for verdict in ("proven", "refuted")}
+    assert {pair for pair in either if pair[0] not in checker.OF_PLANT} <= seen
+
+
 # -- sets and regions at their edges ------------------------------------------------------------------
 
 
-def test_a_set_that_fits_without_any_margin_is_proven_and_one_digit_more_is_refuted():
+def test_a_set_that_fits_without_any_margin_is_proven_and_the_next_float_is_refuted():
     assert verdict(content(mode(D=box(0.5)))) == "proven"
-    found = check(content(mode(D=box(0.5000000000000000000001))))["safe_set"]
-    assert found.verdict == "proven"  # json wrote the float 0.5
+    assert verdict(content(mode(D=box(np.nextafter(0.5, 1))))) == "refuted"
     text = json.dumps(content(mode(D=box(0.25)))).replace("0.25", "0.5000000000000000000000001")
-    report = checker.check(checker.parse(text))
-    assert report.results[1].verdict == "refuted" and not report.proven
+    assert checker.check(checker.parse(text)).proven  # which is the float 0.5
+
+
+@pytest.mark.parametrize("r", [0.1, 0.3, 0.7, 1e-9, 1e9, 5e-324])
+def test_sets_and_limits_are_read_alike(r):
+    """x+ = x / 2 on X = F_max = [-r, r]^2, whether the float r lies above or below the decimal."""
+    assert verdict(content(F=(r,) * 4, X=box(r))) == "proven"
+    assert verdict(content(F=(np.nextafter(r, 2 * r),) * 4, X=box(r))) == "refuted"
 
 
 def test_a_witness_is_a_step_that_can_be_replayed():
     step = check(content(mode(p=(0.6, 0.0))))["safe_set"].witness
     x, d, after = ([Fraction(entry) for entry in step[key]] for key in ("state", "disturbance", "after"))
     assert all(abs(entry) <= 1 for entry in x) and d == [0, 0] and step["mode"] == 1
-    assert after == [x[0] / 2 + Fraction(6, 10), x[1] / 2] and after[0] > 1
+    assert after == [x[0] / 2 + Fraction(0.6), x[1] / 2] and after[0] > 1
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -193,7 +222,7 @@ def test_a_last_set_that_holds_the_image_of_the_one_before_need_not_be_invariant
     found = check(content(swap, later=[(0.9, 0.9, 0.9, 0.9), (0.82, 1.0, 0.82, 1.0)]))
     assert found["sequence"].verdict == "proven" and found["terminal_set"].verdict == "refuted"
     x, after = (abs(Fraction(found["terminal_set"].witness[key][i])) for key, i in (("state", 1), ("after", 0)))
-    assert x <= 1 and after == x * Fraction(9, 10) > Fraction(82, 100)
+    assert x <= 1 and after == x * Fraction(0.9) > Fraction(0.82)
 
 
 def test_an_empty_terminal_set_does_not_hold_the_image():
@@ -237,6 +266,46 @@ def test_theorem_1_does_not_rest_on_offsets_that_nothing_touches():
     assert verdict(value, "theorem_1") == "proven"
 
 
+def test_theorem_1_is_about_alpha_above_1_strictly():
+    """R_1 = R_0: the boundaries touch, alpha is 1, and nothing is stable."""
+    for stable, expected in ((True, "refuted"), (False, "proven")):
+        own = {"alpha": "1", "stable": stable}
+        assert verdict(content(later=[(1.0,) * 4], theorem_1=own), "theorem_1") == expected
+    above = Fraction(1) / Fraction(np.nextafter(1, 0))
+    value = content(later=[(np.nextafter(1, 0),) * 4], theorem_1={"alpha": str(above), "stable": True})
+    assert verdict(value, "theorem_1") == "proven"
+
+
+@pytest.mark.parametrize(
+    ("before", "last", "centre", "alpha", "says"),
+    [
+        ((0.125,) * 4, (0.5,) * 4, (0.25, 0.25), "-1/2", None),  # c outside R_(k-1), inside R_k
+        ((0.125,) * 4, (0.5,) * 4, (0.25, 0.25), None, "not in R_1"),
+        ((0.125,) * 4, (0.5,) * 4, (0.25, 0.25), "0", None),
+        ((0.25,) * 4, (0.5,) * 4, (0.25, 0.25), "0", "alpha = 1 - 1"),  # on the boundary of R_(k-1)
+        ((0.25,) * 4, (0.5,) * 4, (0.25, 0.25), None, None),
+        ((0.5,) * 4, (0.25,) * 4, (0.25, 0.0), None, "not inside R_k"),  # on the boundary of R_k
+        ((0.5,) * 4, (0.25,) * 4, (0.375, 0.0), None, "not inside R_k"),
+        ((0.5,) * 4, (0.25,) * 4, (2.0, 0.0), None, "not inside R_k"),
+        ((0.5,) * 4, (0.0,) * 4, (0.0, 0.0), None, "not inside R_k"),  # a point
+        ((0.5,) * 4, (0.25, 0.0, 0.25, 0.0), (0.0, 0.0), None, "not inside R_k"),  # a segment
+        ((0.5,) * 4, (0.25, 0.0, 0.25, 0.0), (0.0, 0.0), "2", None),
+    ],
+)
+def test_alpha_where_the_centre_is_outside_or_sets_are_flat(before, last, centre, alpha, says):
+    """x+ = 0, which every set here holds; `says` None: the claim is wrong."""
+    zero = mode(A=((0.0, 0.0), (0.0, 0.0)))
+    own = {"alpha": alpha, "centre": list(centre), "stable": False}
+    for last_row in ((), ((1.0, 0.0),)):  # a row that stands there twice changes nothing
+        value = content(zero, later=[before, last], theorem_1=own)
+        value["template"] = [*SQUARE, *map(list, last_row)]
+        value["sets"] = [[*h, *h[: len(last_row)]] for h in value["sets"]]
+        found = check(value)["theorem_1"]
+        assert found.verdict == ("refuted" if says is None else "proven") and (says or "") in found.reason
+        value["claims"]["theorem_1"]["stable"] = True
+        assert verdict(value, "theorem_1") == "refuted"
+
+
 def test_a_claim_that_needs_a_refuted_one_is_not_proven():
     found = check(content(mode(p=(0.6, 0.0)), later=[(0.5, 0.5, 0.5, 0.5)], theorem_1={"alpha": "2", "stable": True}))
     assert not any(found[name].verdict == "proven" for name in ("terminal_set", "criterion", "theorem_1"))
@@ -246,6 +315,12 @@ def test_theorems_need_inputs_in_u():
     value = with_plant(f=LINEAR, later=[(0.5,) * 4], theorem_1={"alpha": "2", "stable": True})
     assert {verdict(value, name) for name in ("theorem_1", "theorem_2")} == {"proven"}
     value["network"]["output"]["bias"] = [1.5]  # without effect on the states, for B = 0
+    found = check(value)
+    assert found["inputs"].verdict == found["safe_set"].verdict == "refuted"
+    assert "outside U" in found["safe_set"].reason and found["safe_set"].witness.keys() == {"state"}
+    assert {found[name].verdict for name in ("terminal_set", "theorem_1", "theorem_2")} == {"not checked"}
+    value["network"]["output"] = {"weight": [[1.0, 0.0]], "bias": [0.5]}  # outside U in a part of X beyond F_max
+    value["sets"] = [[0.5] * 4, [0.25] * 4]
     found = check(value)
     assert found["inputs"].verdict == "refuted" and found["terminal_set"].verdict == "proven"
     assert {found[name].verdict for name in ("theorem_1", "theorem_2")} == {"not checked"}
@@ -262,6 +337,46 @@ def test_the_criterion_is_decided_both_ways():
     assert verdict(still, "criterion") == "proven"  # R_1 of the shrunk set is that set, neither more nor less
     value["claims"]["criterion"]["centre"] = [3.0, 0.0]
     assert "fails" in check(value)["criterion"].reason
+
+
+@pytest.mark.parametrize(
+    ("centre", "holds"), [((1.0, 0.0), True), ((1.0, 1.0), True), ((np.nextafter(1, 2), 0), False)]
+)
+def test_the_criterion_needs_a_centre_in_the_terminal_set(centre, holds):
+    """x+ = x, so that S, which is about a centre on the boundary as well, is its own image."""
+    still = mode(A=((1.0, 0.0), (0.0, 1.0)))
+    for told in (True, False):
+        own = {"centre": list(centre), "holds": told}
+        value = content(still, later=[(1.0,) * 4], X=box(2.0), criterion=own)
+        assert verdict(value, "criterion") == ("proven" if told == holds else "refuted")
+
+
+def test_the_criterion_holds_for_a_point_and_a_segment():
+    for last in ((0.0,) * 4, (0.5, 0.0, 0.5, 0.0)):
+        value = content(mode(A=((1.0, 0.0), (0.0, 0.0))), F=last, later=[last])
+        assert verdict(value, "criterion") == "proven"
+
+
+@pytest.mark.parametrize("epsilon", ["0", "-0.0", "-1e-3", "1e-399"])
+def test_epsilon_is_positive(epsilon):
+    text = json.dumps(content(later=[(1.0,) * 4], criterion={"epsilon": 12345})).replace("12345", epsilon)
+    with pytest.raises(checker.Malformed, match="positive epsilon"):
+        checker.check(checker.parse(text))
+
+
+def test_a_witness_in_the_file_counts_for_nothing():
+    value = content(mode(p=(0.6, 0.0)))
+    own = check(value)["safe_set"]
+    told = {"verdict": "not proven", "reason": own.reason, "witness": own.witness}
+    value["claims"]["safe_set"] = told
+    assert check(value)["safe_set"] == own
+    for other in ({**own.witness, "state": ["1", "1/2"]}, {**own.witness, "mode": 2}, {}, 7, "x", [[1e300]]):
+        value["claims"]["safe_set"] = {**told, "witness": other}
+        found = check(value)["safe_set"]
+        assert found.verdict == "refuted" and found.witness == own.witness and "another" in found.reason
+    value["claims"]["safe_set"] = {**told, "verdict": "proven"}
+    with pytest.raises(checker.Malformed, match="witness"):
+        check(value)
 
 
 def test_what_a_certificate_does_not_claim_is_not_proven():
@@ -295,8 +410,9 @@ def test_nothing_about_the_loop_is_proven_outside_the_plane(n):
     assert verdicts.pop("error_set") == "proven"  # exact in any dimension
     assert set(verdicts.values()) == {"not checked"} and not report.proven
     assert "bound by HiGHS 1.2.3, not checked exactly" in str(report)
-    value["bounds"]["offsets"][0][0] = 0.51
-    assert verdict(value, "sequence") == "refuted"
+    for bound in (np.nextafter(0.5, 1), 0.51):
+        value["bounds"]["offsets"][0][0] = bound
+        assert verdict(value, "sequence") == "refuted"
     for solver in (3, "a\nsafe_set proven", "x" * 51, "\ud800"):
         value["bounds"]["solver"] = solver
         with pytest.raises(checker.Malformed, match="solver"):
@@ -337,12 +453,66 @@ def test_an_error_that_is_largest_inside_is_found():
         assert verdict(with_plant(mode(D=D), f=f), "error_set") == expected
 
 
+@pytest.mark.parametrize("seed", range(25))
+def test_an_error_may_touch_d_and_not_pass_it_by_one_ulp(seed):
+    """b t + a t^2 in every coordinate, whose maximum over the box is a float."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.choice([-1.0, -0.5, 0.0, 0.25], 3), rng.integers(-4, 5, 3) / 4
+    low, high = -rng.integers(0, 5, 3) / 4, rng.integers(0, 5, 3) / 4
+    top = 0.0
+    for i in range(3):
+        peak = -b[i] / (2 * a[i]) if a[i] else low[i]
+        top += max(b[i] * t + a[i] * t * t for t in (low[i], high[i], min(max(peak, low[i]), high[i])))
+    terms = [(v, *(power * (i == j) for j in range(3))) for i in range(3) for v, power in ((b[i], 1), (a[i], 2)) if v]
+    f = [(1.0, 1, 0, 0), *terms] if b[0] == 0 else [(1.0 + b[0], 1, 0, 0), *(t for t in terms if t[1:] != (1, 0, 0))]
+    for given, expected in ((top, "proven"), (np.nextafter(top, -9), "refuted"), (top - 1e-10, "refuted")):
+        D = {"H": SQUARE, "h": [given, 0.0, 99.0, 0.0]}
+        value = with_plant(mode(A=((1.0, 0.0), (0.0, 0.0)), D=D), f=(f, []), F=(0.0,) * 4)
+        value["system"]["state_set"]["h"] = [high[0], high[1], -low[0], -low[1]]
+        value["system"]["input_set"]["h"] = [high[2], -low[2]]
+        assert verdict(value, "error_set") == expected
+
+
+def test_products_of_powers_count_by_their_sign():
+    """x1^2 x2^2 lies in [0, 1], x1 x2, x1^2 x2 and x1^3 in [-1, 1]: tops of f - 0 along +x1 and -x1."""
+    zero = {"A": ((0.0, 0.0), (0.0, 0.0))}
+    for term, up, down in (((2, 2, 0), 1.0, 0.0), ((1, 1, 0), 1.0, 1.0), ((3, 0, 0), 1.0, 1.0), ((2, 1, 0), 1.0, 1.0)):
+        for sign in (1.0, -1.0):
+            top, bottom = (up, down) if sign > 0 else (down, up)
+            cases = ((top, bottom), "proven"), ((top - 1e-10, bottom), "refuted"), ((top, bottom - 1e-10), "refuted")
+            for h, expected in cases:
+                D = {"H": SQUARE, "h": [h[0], 0.0, h[1], 0.0]}
+                assert verdict(with_plant(mode(**zero, D=D), f=([(sign, *term)], [])), "error_set") == expected
+
+
+def test_the_error_of_every_mode_counts_all_over_its_region():
+    """f = x1^2 / 4 with X = [-3, 3] x [-1, 1]: 9/4 at the ends, in the region of the second mode as in the first."""
+    zero, X = {"A": ((0.0, 0.0), (0.0, 0.0))}, {"H": SQUARE, "h": [3.0, 1.0, 3.0, 1.0]}
+    tops = [{"H": SQUARE, "h": [top, 0.0, 0.0, 0.0]} for top in (2.25, 2.25 - 1e-10)]
+    left, right = ((1.0, 0.0, 0.0), 0.0), ((-1.0, 0.0, 0.0), 0.0)
+    for first, second, expected in ((0, 0, "proven"), (0, 1, "refuted"), (1, 0, "refuted")):
+        modes = mode(**zero, region=left, D=tops[first]), mode(**zero, region=right, D=tops[second])
+        found = check(with_plant(*modes, f=([(0.25, 2, 0, 0)], []), X=X))["error_set"]
+        assert found.verdict == expected and (expected == "proven" or found.witness["mode"] == 1 + (second == 1))
+
+
+def test_coefficients_of_f_may_be_fractions_as_text():
+    f = [("1/2", 1, 0, 0), ("1/10", 0, 0, 0)], LINEAR[1]
+    for top, expected in ((0.1, "proven"), (np.nextafter(0.1, 0), "refuted")):  # the float 0.1 is above 1/10
+        assert verdict(with_plant(mode(D={"H": SQUARE, "h": [top, 0.0, 0.0, 0.0]}), f=f), "error_set") == expected
+    for text in ("0.5", "1/0", "x", ""):
+        with pytest.raises(checker.Malformed, match="no fraction"):
+            check(with_plant(f=([(text, 1, 0, 0)], [])))
+
+
 def test_the_error_counts_where_the_region_meets_x_and_u():
     f = [*LINEAR[0], (1.0, 0, 0, 1)], LINEAR[1]  # the error is u
     half = ((0.0, 0.0, 1.0), 0.25)
     D = {"H": SQUARE, "h": [0.3, 0.0, 1.0, 0.0]}
     assert verdict(with_plant(mode(D=D, region=half), f=f), "error_set") == "proven"
     assert verdict(with_plant(mode(D=D), f=f), "error_set") == "refuted"
+    for top in (0.75, 1.5):  # a corner of the box is cut off, which takes no more than half of the error
+        assert verdict(with_plant(mode(D=D, region=((1.0, 0.0, 1.0), top)), f=f), "error_set") == "refuted"
     slanted = ((1.0, 0.0, 1.0), 0.25), ((-1.0, 0.0, 0.0), 0.0)  # x1 >= 0, so that u <= 0.25
     assert verdict(with_plant(mode(D=D, region=slanted), f=f), "error_set") == "proven"
     nowhere = ((1.0, 0.0, 0.0), -2.0)
@@ -350,6 +520,8 @@ def test_the_error_counts_where_the_region_meets_x_and_u():
     value = with_plant(mode(D=D), f=f)
     value["system"]["input_set"] = {"H": [[1.0], [-1.0]], "h": [0.3, 1.0]}
     assert verdict(value, "error_set") == "proven"
+    value["system"]["input_set"]["h"] = [0.30000000001, 1.0]
+    assert verdict(value, "error_set") == "refuted"
     value["system"]["input_set"] = {"H": [[1.0]], "h": [0.25]}
     assert "no limits" in check(value)["error_set"].reason
 
@@ -359,6 +531,15 @@ def test_theorem_2_needs_the_origin_inside_and_all_else_proven():
     options = {"theorem_1": {"alpha": "2", "stable": True}, "criterion": {"holds": False}}
     assert verdict(with_plant(f=f, later=later, **options), "theorem_2") == "proven"
     assert "origin" in check(with_plant(f=f, later=[(0.5, 0.5, 0.0, 0.5)]))["theorem_2"].reason
+    wide = mode(D=box(0.3))  # leads from F_max beyond R_1
+    found = check(with_plant(wide, f=f, later=later, **options))
+    assert found["error_set"].verdict == found["safe_set"].verdict == "proven"
+    assert found["theorem_2"].verdict == "not checked" and "sequence" in found["theorem_2"].reason
+    swap = mode(A=((0.0, 0.9), (0.9, 0.0)))  # does not keep the last set
+    last = {"F": (0.9,) * 4, "later": [(0.82, 1.0, 0.82, 1.0)]}
+    found = check(with_plant(swap, f=([(0.9, 0, 1, 0)], [(0.9, 1, 0, 0)]), **last))
+    assert found["error_set"].verdict == found["safe_set"].verdict == found["sequence"].verdict == "proven"
+    assert found["theorem_2"].verdict == "not checked" and "terminal_set" in found["theorem_2"].reason
     wrong = [(0.6, 1, 0, 0)], LINEAR[1]
     assert verdict(with_plant(f=wrong, later=later, **options), "theorem_2") != "proven"
     assert verdict(with_plant(f=f), "theorem_2") == "not checked"
@@ -367,8 +548,7 @@ def test_theorem_2_needs_the_origin_inside_and_all_else_proven():
 # -- geometry -----------------------------------------------------------------------------------------
 
 
-def free():
-    """A clock that never rings."""
+free = checker.Budget(3600)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -469,10 +649,28 @@ def test_a_digest_is_of_the_content_not_of_its_letters():
     assert digest('{"a": 1, "b": 2}') != digest('{"a": 2, "b": 1}')
 
 
-def test_plants_are_decimals_and_networks_floats():
-    tenth = Fraction(1, 10)
-    assert checker.decimal(checker.Numeral("0.1"), "it") == tenth
-    assert checker.binary(checker.Numeral("0.1"), "it") == Fraction(0.1) != tenth
+def test_numbers_are_the_floats_that_they_are_and_fractions_are_themselves():
+    for text in ("0.1", "0.10000000000000000000001", "1e-1", "0.1000000000000000055511151231257827"):
+        assert checker.number(checker.Numeral(text), "it") == Fraction(0.1) != Fraction(1, 10)
+    assert checker.number(checker.Numeral("1e-330"), "it") == 0
+    assert checker.coefficient_of("1/10", "it") == Fraction(1, 10)
+    assert checker.coefficient_of(checker.Numeral("0.1"), "it") == Fraction(0.1)
+    everywhere = {"A": ((0.1, 0.0), (0.0, 0.1)), "p": (0.1, 0.0), "region": ((0.1, 0.0, 0.0), 0.1), "D": box(0.1)}
+    value = with_plant(mode(**everywhere), f=([(0.1, 0, 0, 0)], []), F=(0.1,) * 4, X=box(0.1), later=[(0.1,) * 4])
+    value["claims"]["criterion"] |= {"epsilon": 0.1, "centre": [0.1, 0.1]}
+    value["network"]["output"] = {"weight": [[0.1, 0.1]], "bias": [0.1]}
+    value["template"] = [[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]]
+    read = checker.Certificate.of(checker.parse(json.dumps(value)))
+    numbers, seen = [[getattr(read, name) for name in ("modes", "state_set", "network", "sets", "plant", "claims")]], []
+    while numbers:
+        one = numbers.pop()
+        if isinstance(one, (checker.Mode, checker.Network)):
+            numbers += vars(one).values()
+        elif isinstance(one, (tuple, list, dict)):
+            numbers += one.values() if isinstance(one, dict) else one
+        elif isinstance(one, Fraction) and one.denominator > 1:
+            seen.append(abs(one))
+    assert set(seen) == {Fraction(0.1)} and len(seen) > 30
 
 
 @pytest.mark.parametrize(
@@ -559,6 +757,91 @@ def test_what_is_no_certificate_is_refused(text, tmp_path):
         checker.verify(SHIPPED["pwa"], network=path)
 
 
+def told(text, key="witness"):
+    """A certificate whose claim `inputs` has this text where nobody needs it, with a digest."""
+    value = content(inputs={"verdict": "not proven", key: "@"})
+    return json.dumps({**value, "digest": "0"}).replace('"@"', text)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[" + "1e999," * 100_000 + "1]", "no number of reasonable size"),
+        ("[" + "1e-999," * 100_000 + "1]", "no number of reasonable size"),
+        ("[" + "1," * 900_000 + "1]", "commas"),
+        ("[" * 900_000 + "]" * 900_000, "levels"),
+        ('{"a":' * 300_000 + "1" + "}" * 300_000, "levels"),
+        ('["' + '\\"' * 600_000, "not JSON"),
+        ('["' + "[" * 1_900_000 + '"]', None),
+        ('"' + "\\ud800" * 300_000 + '"', None),
+        ("[" + "1e308," * 190_000 + "1]", None),
+        ("{" + ",".join(f'"k{i}":1' for i in range(150_000)) + "}", None),
+    ],
+    ids=range(10),
+)
+def test_what_nobody_reads_costs_little_whatever_it_is(text, says, tmp_path):
+    """Reading takes a second or two, and the digest keeps to the seconds as everything does."""
+    path = tmp_path / "certificate.json"
+    path.write_text(told(text))
+    begin = time.process_time()
+    if says is None:
+        report = checker.verify(path, seconds=0.2)
+        assert report.digest in ("changed", "not checked")
+        assert {result.verdict for result in report.results} == {"not checked"} and not report.proven
+    else:
+        with pytest.raises(checker.Malformed, match=says):
+            checker.verify(path, seconds=0.2)
+    assert time.process_time() - begin < 6
+
+
+@pytest.mark.parametrize("text", ["1e309", "-1.8e308", "1e399", "9" * 40 + "e299"])
+def test_numbers_are_finite_wherever_they_stand(text):
+    with pytest.raises(checker.Malformed, match="reasonable size"):
+        checker.parse(told(text))
+    assert checker.parse(told("1.79e308"))["claims"]["inputs"]["witness"] == "1.79e308"
+
+
+def test_the_digest_is_not_compared_after_the_time():
+    report = checker.verify(SHIPPED["pwa"], seconds=0)
+    assert report.digest == "not checked" and not report.proven
+    assert all("stopped after 0 s" in result.reason for result in report.results)
+
+
+def test_the_digest_is_made_in_parts():
+    value = checker.parse("{" + ",".join(f'"k{i}": [1e308, 2e-308]' for i in range(5_000)) + "}")
+    tracemalloc.start()
+    try:
+        checker.digest(value)
+        assert tracemalloc.get_traced_memory()[1] < 2e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_marks_within_texts_are_no_levels():
+    deep = "[" * 30 + '\\"' + "{" * 30
+    assert checker.parse(json.dumps({"a": deep, deep: "}]\\"})) == {"a": deep, deep: "}]\\"}
+    assert checker.parse("[" * 20 + "]" * 20) and checker.parse(b"\xef\xbb\xbf[1]") == ["1"]
+    with pytest.raises(checker.Malformed, match="levels"):
+        checker.parse("[" * 21 + "]" * 21)
+
+
+def test_memory_is_limited_as_time_is(monkeypatch):
+    monkeypatch.setattr(checker, "MOST_MEMORY", 20_000)
+    net = dict(hostile())["1000 neurons"]
+    assert all("needs more than" in found.reason for found in check(net).values())
+    assert "needs more than" in check(content(*[mode() for _ in range(200)]))["safe_set"].reason
+    with pytest.raises(checker.Stopped, match="needs more"):
+        checker.Budget(9).hold(20_001)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, float("nan")])
+def test_seconds_are_a_number_from_0_on(seconds):
+    with pytest.raises(ValueError, match="seconds"):
+        check(content(), seconds=seconds)
+    with pytest.raises(SystemExit):
+        main(["verify", str(SHIPPED["pwa"]), "--seconds", str(seconds)])
+
+
 def test_reasons_that_nobody_reads_may_not_be_deep():
     deep = []
     for _ in range(400):
@@ -621,7 +904,10 @@ def test_numbers_of_thousands_of_digits_have_a_witness_without_them():
     value["system"]["modes"][0]["B"] = [[1.0], [0.0]]
     found = check(value)
     assert found["inputs"].verdict == found["safe_set"].verdict == "refuted"
-    assert found["safe_set"].witness["after"][0] is None and "1e308 or more" in found["safe_set"].reason
+    assert "1e308 or more" in found["safe_set"].reason
+    value["system"]["input_set"] = {"H": [[0.0]], "h": [0.0]}
+    found = check(value)["safe_set"]
+    assert found.witness["after"][0] is None and "1e308 or more" in found.reason
 
 
 # -- the command --------------------------------------------------------------------------------------

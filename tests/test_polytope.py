@@ -294,6 +294,8 @@ def test_membership_sees_the_last_bit():
     x = np.array([[1 / 3, 0.0], [np.nextafter(1 / 3, 1), 0.0], [1 / 3, 2.0**-60], [np.nan, 0.0], [-np.inf, 0.0]])
     assert P.contains(x).tolist() == [True, False, True, False, False]
     assert P.contains(x[1], tol=1e-15) and not P.contains(x[1])
+    square = Polytope.box([0, 0], [1, 1])
+    assert square.contains([1.5, 1], tol=np.array([0.5, 0, 0, 0])) and not square.contains([1, 1.5], tol=[0.5, 0, 0, 0])
     large = Polytope([[1e300, 1e300]], [0.0])
     assert large.contains([1e10, -1e10]) and not large.contains([1e10, -np.nextafter(1e10, 0)])
     assert P.contains(np.zeros((2, 3, 2))).shape == (2, 3) and P.contains(np.zeros((0, 2))).shape == (0,)

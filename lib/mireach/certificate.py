@@ -1,7 +1,7 @@
 """Certificates: what was found about a loop, in one file that anybody can check without trusting this package.
 
-`write` makes the sets of floating-point engines exactly true, `verify` checks them by `checker.py`, which shares no
-code with the engines.
+`write` enlarges the sets of floating-point engines until their claims are exactly true, `verify` checks them by
+`checker.py`, which shares no code with the engines. Every number is the float that it is, as in `rational`.
 """
 
 import json
@@ -20,14 +20,14 @@ from .files import write_json
 from .invariance import SafeSet, TerminalSet
 from .loop import ClosedLoop
 from .polytope import Polytope
+from .rational import above, binary, maximize
 from .reach import support
 from .system import NonlinearSystem
 
 __all__ = ["Certificate", "Report", "make", "verify", "write"]
 
-LARGEST_INFLATION = 1e-6  # by which a set may grow to make its claim true, relative to 1 + its offsets
+LARGEST_INFLATION = 1e-6  # by which a set may grow to make its claim true, relative to the width of X along the row
 REPAIRS = 30  # steps towards the smallest set that holds a claim, before it is overshot
-LOOSE = 1e-9  # room of rows that only restate a set, in units of C x
 
 
 @dataclass(frozen=True)
@@ -88,15 +88,18 @@ def make(loop, safe, terminal=None, *, plant=None, engine="milp"):
     Raises
     ------
     ValueError
-        If there is no safe set, the terminal set does not start from it, or f is not a polynomial.
+        If there is no safe set, the terminal set does not start from it or has no steps, or f is not a polynomial.
 
     Notes
     -----
-    Data of the plant are read as the decimals that they are, all else as floats. In the plane, R_1 of each set is
-    bounded anew in rational arithmetic and rounded up to floats. Where it passes the set that should hold it, by the
-    rounding of the engine that found that set, the set is enlarged: h <- max(h, h of R_1), again and again, leads to
-    the smallest set with these rows that holds the claim. Where more than `LARGEST_INFLATION` would be needed the
-    set is left as it is, and the certificate says "not proven", with a step of fractions that leads out of it.
+    In the plane, R_1 of each set is bounded anew in rational arithmetic and rounded up to floats. Where it exceeds the
+    set that should hold it, by the rounding of the engine that found that set, the set is enlarged: the iteration
+    h <- max(h, h of R_1) leads to the smallest set with these rows that holds the claim. Where more than
+    `LARGEST_INFLATION` would be needed the set is left as it is. Nothing depends on the unit of the states.
+
+    What the checker does not confirm is "not proven" in the file, with the checker's reason, and where it has one
+    with a witness: a state of fractions without a successor, or a step that leads out of the set. For more than two
+    states the bounds of a solver are "bounded" at best.
     """
     require_kind(loop, ClosedLoop, "loop")
     require_kind(safe, SafeSet, "safe")
@@ -108,6 +111,8 @@ def make(loop, safe, terminal=None, *, plant=None, engine="milp"):
         history = terminal.history
         if history[0] is not safe.set:
             raise ValueError("terminal does not start from safe; give the terminal set of this safe set")
+        if len(history) < 2:
+            raise ValueError("terminal has no steps, only the safe set; leave it out, or give one with steps >= 1")
     planar = loop.system.state_size == 2
     engine = "exact" if planar else engine
     C = _template(loop, history)
@@ -141,17 +146,19 @@ def _template(loop, history):
 
 
 def _offsets(loop, R, C):
-    """Offsets of a set along C: its own, those of X, and room along rows that only restate it."""
-    X, known = loop.system.state_set, {}
-    for row, offset in zip(np.vstack([R.H, X.H]) + 0.0, [*R.h, *map(_floor, X.h)]):
-        known[row.tobytes()] = min(offset, known.get(row.tobytes(), np.inf))
-    loose = R.support(C) + LOOSE
-    return np.array([known.get(row.tobytes(), room) for row, room in zip(C, loose)])
+    """Offsets of R & X along C: the given ones of their rows, elsewhere the support function, rounded up."""
+    H, h = np.vstack([R.H, loop.system.state_set.H]) + 0.0, [*R.h, *loop.system.state_set.h]
+    given = {}
+    for row, offset in zip(H, h):
+        given[row.tobytes()] = min(offset, given.get(row.tobytes(), np.inf))
+    rows = binary(H), binary(h)
+    return np.array([given[row.tobytes()] if row.tobytes() in given else _support(R, rows, row) for row in C])
 
 
-def _floor(value):
-    """The largest float that is not above the decimal by which a float is written."""
-    return float(value if Fraction(value) <= Fraction(repr(float(value))) else np.nextafter(value, -np.inf))
+def _support(R, rows, c):
+    """The smallest float that is not below max {c x : rows}; that of R in floats if no point satisfies the rows."""
+    value = maximize(*rows, binary(c)).value
+    return R.support(c[None])[0] if value == -np.inf else above(value)
 
 
 def _repaired(loop, C, wanted, engine):
@@ -159,37 +166,39 @@ def _repaired(loop, C, wanted, engine):
 
     Where that needs more than `LARGEST_INFLATION`, offsets stay what they were.
     """
-    h, image = _invariant(loop, C, wanted[0], engine)
+    X = loop.system.state_set
+    rows = binary(X.H), binary(X.h)
+    most = LARGEST_INFLATION * np.array([_support(X, rows, c) + _support(X, rows, -c) for c in C])
+    h, image = _invariant(loop, C, wanted[0], engine, most)
     sets, images = [h], [image]
     for given in wanted[1:]:
         raised = np.maximum(given, images[-1])
-        h = np.minimum(raised if _is_small(raised - given, given) else given, sets[-1])
+        h = np.minimum(raised if (raised - given <= most).all() else given, sets[-1])
         sets.append(h)
         images.append(_image(loop, C, h, engine))
     return sets, images
 
 
-def _invariant(loop, C, wanted, engine):
-    """The smallest offsets from `wanted` on with R_1({C x <= h}) in {C x <= h}, and h of R_1 then."""
+def _invariant(loop, C, wanted, engine, most):
+    """The smallest offsets above `wanted` with R_1({C x <= h}) in {C x <= h}, and h of R_1 then.
+
+    `wanted` again if an offset would have to be raised by more than `most`.
+    """
     h = wanted
     for _ in range(REPAIRS):
         image = _image(loop, C, h, engine)
         if (image <= h).all():
             return h, image
         h = np.maximum(h, image)
-        if not _is_small(h - wanted, wanted):
+        if (h - wanted > most).any():
             return wanted, _image(loop, C, wanted, engine)
-    step = h - wanted  # it creeps: a little more is tried
-    while _is_small(step, wanted):
+    step = h - wanted  # the iteration creeps: a little more is tried
+    while (step <= most).all():
         h, step = wanted + step, 2 * step
         image = _image(loop, C, h, engine)
         if (image <= h).all():
             return h, image
     return wanted, _image(loop, C, wanted, engine)
-
-
-def _is_small(inflation, h):
-    return (inflation <= LARGEST_INFLATION * (1 + np.abs(h))).all()
 
 
 def _image(loop, C, h, engine):
@@ -218,6 +227,7 @@ def _claims(C, sets, terminal, plant, planar):
     if terminal is not None:
         c = terminal.centre.tolist()
         alpha = exact.growth(C, *sets[-2:], c) if planar else _growth_of_offsets(C, *sets[-2:], c)
+        alpha = None if alpha is not None and alpha < 0 else alpha  # c is not in the set before the last
         claims |= {
             "sequence": {},
             "terminal_set": {"steps": terminal.steps},
@@ -237,7 +247,7 @@ def _claims(C, sets, terminal, plant, planar):
 
 def _growth_of_offsets(C, before, h, centre):
     """As `exact.growth`, from the offsets of both sets: a lower bound where R has rows that do not touch it."""
-    c = [Fraction(repr(entry)) for entry in centre]
+    c = [Fraction(entry) for entry in centre]
     shares = []
     for row, *limits in zip(C.tolist(), before.tolist(), h.tolist()):
         middle = sum(Fraction(entry) * part for entry, part in zip(row, c))
@@ -249,16 +259,19 @@ def _growth_of_offsets(C, before, h, centre):
 
 
 def _settled(content):
-    """Ask the checker; a claim that it refutes becomes "not proven", with the witness. Returns its last Report."""
+    """Ask the checker; what it does not confirm becomes "not proven", with its reason. Returns its last Report."""
     report = checker.check(checker.parse(json.dumps(content)))
-    claims, refuted = content["claims"], {one.claim: one for one in report.results if one.verdict == "refuted"}
+    claims, found = content["claims"], {one.claim: one for one in report.results}
+    refuted = {name for name, one in found.items() if one.verdict == "refuted"}
     if "criterion" in refuted and "terminal_set" not in refuted:  # it is decided exactly, one way or the other
         claims["criterion"]["holds"] = not claims["criterion"]["holds"]
         return _settled(content)
-    for name, result in refuted.items():
-        claims[name] |= {"verdict": "not proven", "reason": result.reason}
-        if result.witness is not None:
-            claims[name]["witness"] = result.witness
+    for name, result in found.items():
+        rests_on_error = name == "theorem_2" and found["error_set"].verdict != "proven"
+        if name in refuted or rests_on_error or (result.verdict, claims[name]["verdict"]) == ("not checked", "proven"):
+            claims[name] |= {"verdict": "not proven", "reason": result.reason}
+            if result.witness is not None:
+                claims[name]["witness"] = result.witness
     return report
 
 
@@ -282,13 +295,25 @@ def _polynomials(plant, loop, safe):
             f"f of the plant is not a polynomial in x and u, which a certificate needs: {error}"
         ) from error
     return [
-        [{"coefficient": float(value), "powers": list(powers)} for powers, value in part.terms.items() if value]
+        [{"coefficient": _written(value), "powers": list(powers)} for powers, value in part.terms.items() if value]
         for part in components
     ]
 
 
+def _written(value):
+    """A fraction as the float that it is, or as text p/q if no float is."""
+    return float(value) if _is_float(value) else str(value)
+
+
+def _is_float(value):
+    try:
+        return Fraction(float(value)) == value
+    except OverflowError:
+        return False
+
+
 class _Polynomial:
-    """A polynomial {powers: coefficient} in fractions; floats that meet it count as the decimals that are written."""
+    """A polynomial {powers: coefficient} in fractions; numbers that meet it are the floats that they are."""
 
     __array_ufunc__ = None  # numpy's numbers leave the arithmetic to this class, its functions raise TypeError
 
@@ -299,7 +324,7 @@ class _Polynomial:
         if isinstance(other, _Polynomial):
             return other
         size = len(next(iter(self.terms)))
-        return _Polynomial({(0,) * size: Fraction(repr(float(other)))})
+        return _Polynomial({(0,) * size: Fraction(float(other))})
 
     def __add__(self, other):
         found = dict(self.terms)
@@ -330,6 +355,6 @@ class _Polynomial:
         return -self + other
 
     def __truediv__(self, other):
-        return self * (1 / Fraction(repr(float(other))))
+        return _Polynomial({powers: value / Fraction(float(other)) for powers, value in self.terms.items()})
 
     __radd__, __rmul__ = __add__, __mul__

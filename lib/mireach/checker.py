@@ -1,4 +1,4 @@
-"""A checker of certificates that trusts nobody: whole numbers, the standard library, nothing else of this package.
+"""An independent checker of certificates: whole numbers, the standard library, no code shared with this package.
 
     python3 run.py verify FILE        or, with nothing installed,        python3 lib/mireach/checker.py FILE
 
@@ -6,7 +6,7 @@ A certificate (format mireach-certificate/1) is one JSON file:
 
     system      modes (A, B, p, region of (x, u), disturbance), state_set X, input_set U; every set is {"H", "h"}
     network     Phi, as in network.json
-    template    C, one row a direction
+    template    C, one row per direction
     sets        offsets h of F_max = R_0, R_1, ..., R_k, the terminal set; each of them is {x : C x <= h}
     claims      what is claimed, see `CLAIMS`, each with a "verdict"
     plant       f of x+ = f(x, u), where the system approximates a plant: for every component of f a list of
@@ -14,15 +14,22 @@ A certificate (format mireach-certificate/1) is one JSON file:
     bounds      where the state has not two entries: {"solver", "offsets"}, bounds on R_1 of each set along C
     digest      SHA-256 of everything else
 
-Numbers of the system, the plant and the claims are the decimals that are written; those of the network, the template
-and the sets are the floats that these decimals stand for.
+How numbers are read. Every number is the IEEE double that it is, which is the double nearest to the decimal in the
+file, and from then on an exact fraction: 0.1 is 3602879701896397 / 2^55. Only fractions that are written as text,
+"p/q", are these fractions themselves: alpha, the coefficients of f, and the entries of witnesses. See `number`.
+
+What the system is. A mode acts on (x, u) with x in X, u in U and (x, u) in its region, and x+ = A x + B u + p + d for
+any d of its disturbance set. A state x has a successor if a mode acts on (x, Phi(x)). All sets are closed: pieces that
+are only an edge or a point count, and where regions meet, every one of their modes acts.
 
 How a claim is proven. In the plane Phi is affine on convex pieces. A piece is a list of corners, in order around it;
-a corner (X, Y, W) stands for the point (X/W, Y/W), a line (a, b, c) for the half-plane a X + b Y + c W <= 0, all of
-them whole numbers, so that nothing is ever rounded. What is affine on a piece is a *form*, again (a, b, c), over a
-unit: its value is (a X + b Y + c W) / (unit W). Affine functions are largest in corners, which decides every claim
-about the image of a set. All sets are closed: pieces that are only an edge or a point count, and where regions meet,
-every one of their modes acts.
+a corner (X, Y, W), W > 0, stands for the point (X/W, Y/W), a line (a, b, c) for the half-plane a X + b Y + c W <= 0,
+all of them whole numbers, so that nothing is ever rounded. What is affine on a piece is a *form*, again (a, b, c),
+over a unit > 0: its value is (a X + b Y + c W) / (unit W). Affine functions are largest in corners, which decides
+every claim about the image of a set.
+
+What a check may cost. Sizes are limited before anything is converted (the `MOST_` constants), so that reading takes
+about a second at most; digest and mathematics end after `seconds`, or where they would hold more than `MOST_MEMORY`.
 """
 
 import argparse
@@ -46,7 +53,8 @@ CLAIMS = {
     "sequence": "every R_(k+1) contains the image of R_k",
     "terminal_set": "R_k is RPI and reached from all of F_max within `steps` = k steps",
     "criterion": "eq. TerminationFmin about `centre` with `epsilon`: `holds` or not",
-    "theorem_1": "the largest alpha with alpha R_k in R_(k-1), about `centre`, is `alpha`; above 1 R_k is `stable`",
+    "theorem_1": "the largest alpha >= 0 with alpha R_k in R_(k-1), about `centre`, is `alpha`, null if the centre is "
+    "not inside R_k or not in R_(k-1); R_k is `stable` if alpha > 1",
     "error_set": "f - f_PWA lies in D for every x in X and u in U",
     "theorem_2": "the plant is ultimately bounded in the terminal set, uniformly in F_max",
 }
@@ -56,14 +64,18 @@ VERDICTS = ("proven", "bounded", "not proven")  # what a certificate says itself
 SECONDS = 600  # after which the rest is "not checked"
 MOST_BYTES = 2_000_000  # of a file
 MOST_LEVELS = 20  # of lists and objects in one another
+MOST_COMMAS = 200_000  # of a file, which limits the number of its entries
 MOST_ENTRIES = 2_000  # of one list
+MOST_REMEMBERED = 100_000  # supports of disturbance sets
+MOST_MEMORY = 300_000_000  # bytes of whole numbers that are held at once, see `bytes_of`
 MOST_LAYERS = 100  # of a network
 MOST_DIGITS = 4_000  # of a fraction that is read or written
 MOST_POWERS = 20  # of a term of f, together
 MOST_TERMS = 10_000  # of a component of f, counted after (x + c)^k was multiplied out
 MOST_BOXES = 20_000  # into which a region is split to bound the error of one mode
 SHORT = 12  # decimals at most of a witness that is not printed as fractions
-NUMERAL = re.compile(r"-?\d{1,40}(\.\d{1,40})?([eE][+-]?\d{1,3})?")
+NUMERAL = re.compile(r"-?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-3]?[0-9]{1,2})?")
+MARKS = re.compile(r'\\.|["\[\]{}]', re.DOTALL)  # an escape, a quotation mark, the ends of lists and objects
 FRACTION = re.compile(rf"-?[0-9]{{1,{MOST_DIGITS}}}(/[1-9][0-9]{{0,{MOST_DIGITS - 1}}})?")
 
 
@@ -72,7 +84,24 @@ class Malformed(ValueError):
 
 
 class Stopped(Exception):
-    """The time is up."""
+    """The time or the memory of a check is used up; the message says which."""
+
+
+class Budget:
+    """What one check may use: call it where time passes, `hold` where numbers are kept. Either may raise Stopped."""
+
+    def __init__(self, seconds):
+        if not seconds >= 0:  # nan as well
+            raise ValueError(f"seconds must be a number from 0 on; got {seconds!r}")
+        self.seconds, self.end = seconds, time.monotonic() + seconds
+
+    def __call__(self):
+        if time.monotonic() > self.end:
+            raise Stopped(f"stopped after {self.seconds:g} s")
+
+    def hold(self, size):
+        if size > MOST_MEMORY:
+            raise Stopped(f"stopped, for it needs more than {MOST_MEMORY // 10**6} MB")
 
 
 class Numeral(str):
@@ -97,8 +126,8 @@ class Result:
 class Report:
     """What was found about a certificate.
 
-    `digest` is "as written", "missing", "changed" or "ignored"; `network` says whether the certificate speaks of the
-    network that was asked about (None: nothing was asked).
+    `digest` is "as written", "missing", "changed", "ignored", or "not checked" if the time was up; `network` says
+    whether the certificate speaks of the network that was asked about (None: nothing was asked).
     """
 
     results: tuple
@@ -113,7 +142,7 @@ class Report:
 
     def __getitem__(self, claim):
         """The Result about a claim of `CLAIMS`."""
-        return next(one for one in self.results if one.claim == claim)
+        return {one.claim: one for one in self.results}[claim]
 
     def __str__(self):
         lines = [f"{one.claim:<13} {one.verdict:<12} {one.reason}" for one in self.results]
@@ -136,7 +165,7 @@ def verify(path, network=None, ignore_digest=False, seconds=SECONDS):
     ignore_digest : bool
         Whether to go on to the mathematics without comparing the digest.
     seconds : float
-        After this time what is left is "not checked".
+        From the call on; after this time what is left is "not checked".
 
     Returns
     -------
@@ -149,18 +178,27 @@ def verify(path, network=None, ignore_digest=False, seconds=SECONDS):
     OSError
         If a file cannot be read.
     """
-    return check(read(path), None if network is None else Network.of(read(network)), ignore_digest, seconds)
+    clock = Budget(seconds)
+    return _check(read(path), None if network is None else Network.of(read(network)), ignore_digest, clock)
 
 
 def check(content, network=None, ignore_digest=True, seconds=SECONDS):
     """`verify` for content that `parse` has read, and a Network."""
+    return _check(content, network, ignore_digest, Budget(seconds))
+
+
+def _check(content, network, ignore_digest, clock):
     certificate = Certificate.of(content)
-    state = "ignored" if ignore_digest else compare_digest(content)
     asked = None if network is None else network == certificate.network
+    try:
+        state, reason = "ignored" if ignore_digest else compare_digest(content, clock), ""
+    except Stopped as stop:
+        state, reason = "not checked", str(stop)
     if state == "changed":
         reason = "the content is not what the digest was made of"
+    if reason:
         return Report(tuple(Result(name, "not checked", reason) for name in certificate.claims), state, asked)
-    return Report(Claims(certificate, seconds).results(), state, asked)
+    return Report(Claims(certificate, clock).results(), state, asked)
 
 
 # -- reading ------------------------------------------------------------------------------------------
@@ -176,31 +214,40 @@ def read(path):
 
 
 def parse(text):
-    """JSON with every number as a Numeral; Malformed if it is not plain JSON with numbers of reasonable size."""
+    """JSON with every number as a Numeral; Malformed if it is not plain JSON (UTF-8) of a reasonable size.
+
+    Levels and entries are counted in the text, before anything is built from it.
+    """
     try:
-        content = json.loads(
+        text = text if isinstance(text, str) else str(text, "utf-8-sig")
+        require_moderate(text)
+        return json.loads(
             text, parse_int=numeral, parse_float=numeral, parse_constant=numeral, object_pairs_hook=without_duplicates
         )
     except Malformed:
         raise
     except (ValueError, RecursionError) as error:
         raise Malformed(f"this is not JSON, or only a part of it: {error}") from error
-    level = [content]
-    for _ in range(MOST_LEVELS):
-        level = [entry for value in level if isinstance(value, (list, dict)) for entry in entries(value)]
-    if level:
-        raise Malformed(f"lists and objects stand in one another more than {MOST_LEVELS} levels deep")
-    return content
 
 
-def entries(value):
-    """What a list or a dict holds."""
-    return value.values() if isinstance(value, dict) else value
+def require_moderate(text):
+    """Malformed if lists and objects stand too deep in one another, or if there are too many entries."""
+    if text.count(",") > MOST_COMMAS:
+        raise Malformed(f"the file has more than {MOST_COMMAS} commas, and so too many entries")
+    level, quoted = 0, False
+    for mark in map(re.Match.group, MARKS.finditer(text)):
+        if mark == '"':
+            quoted = not quoted
+        elif not quoted and mark in "[]{}":
+            level += 1 if mark in "[{" else -1
+            if level > MOST_LEVELS:
+                raise Malformed(f"lists and objects stand in one another more than {MOST_LEVELS} levels deep")
 
 
 def numeral(text):
-    if not NUMERAL.fullmatch(text):
-        raise Malformed(f"{text[:50]} is no number of reasonable size")
+    """A number as it is written, if it is short and a finite double."""
+    if not NUMERAL.fullmatch(text) or abs(float(text)) == float("inf"):
+        raise Malformed(f"{text[:50]} is no number of reasonable size, which a finite double is")
     return Numeral(text)
 
 
@@ -212,46 +259,55 @@ def without_duplicates(pairs):
     return found
 
 
-def digest(content):
-    """SHA-256 of everything but the digest, independent of the order of keys and of how numbers are written."""
-    return hashlib.sha256(canonical({key: content[key] for key in content if key != "digest"}).encode()).hexdigest()
+def digest(content, clock=lambda: None):
+    """SHA-256 of everything but the digest, independent of the order of keys and of how a decimal is written."""
+    found = hashlib.sha256()
+    for text in canonical({key: content[key] for key in content if key != "digest"}, clock):
+        found.update(text.encode())
+    return found.hexdigest()
 
 
-def canonical(value):
-    """One text for one content: keys sorted, numbers as fractions in lowest terms."""
+def canonical(value, clock):
+    """One text for one content, in parts: keys sorted, the decimals that are written as fractions in lowest terms."""
+    clock()
     if isinstance(value, dict):
-        return "{" + ",".join(f"{json.dumps(key)}:{canonical(value[key])}" for key in sorted(value)) + "}"
-    if isinstance(value, list):
-        return "[" + ",".join(map(canonical, value)) + "]"
-    return str(Fraction(value)) if isinstance(value, Numeral) else json.dumps(value)
+        for i, key in enumerate(sorted(value)):
+            yield f"{',' if i else '{'}{json.dumps(key)}:"
+            yield from canonical(value[key], clock)
+        yield "}" if value else "{}"
+    elif isinstance(value, list):
+        for i, entry in enumerate(value):
+            yield "," if i else "["
+            yield from canonical(entry, clock)
+        yield "]" if value else "[]"
+    else:
+        yield str(Fraction(value)) if isinstance(value, Numeral) else json.dumps(value)
 
 
-def compare_digest(content):
+def compare_digest(content, clock):
     if "digest" not in content:
         return "missing"
-    return "as written" if content["digest"] == digest(content) else "changed"
+    return "as written" if content["digest"] == digest(content, clock) else "changed"
 
 
-def decimal(value, where):
-    """A number as the decimal that is written."""
+def number(value, where):
+    """A number as the double nearest to what is written, exactly; what is too small for a double is 0."""
     if not isinstance(value, Numeral):
         raise Malformed(f"{where}: {str(value)[:50]!r} is no number")
-    return Fraction(value)
+    return Fraction(float(value))
 
 
 def natural(value, where):
     """A whole number from 0 on."""
-    found = decimal(value, where)
+    found = number(value, where)
     if found < 0 or found.denominator > 1:
         raise Malformed(f"{where}: {value} is no whole number from 0 on")
     return int(found)
 
 
-def binary(value, where):
-    """A number as the float that it stands for."""
-    if not isinstance(value, Numeral) or abs(float(value)) == float("inf"):
-        raise Malformed(f"{where}: {str(value)[:50]!r} is no finite float")
-    return Fraction(float(value))
+def coefficient_of(value, where):
+    """A number, or text of the form p/q where no double is that fraction."""
+    return number(value, where) if isinstance(value, Numeral) else fraction(value, where)
 
 
 def fraction(value, where):
@@ -261,18 +317,18 @@ def fraction(value, where):
     return Fraction(value)
 
 
-def vector(value, number, where, size):
-    """A list of `size` numbers, each read by `number`."""
+def vector(value, where, size, kind=number):
+    """A list of `size` numbers, each read by `kind`."""
     if not isinstance(value, list) or len(value) != size:
         raise Malformed(f"{where} should be a list of {size}")
-    return tuple(number(entry, where) for entry in value)
+    return tuple(kind(entry, where) for entry in value)
 
 
-def matrix(value, number, where, columns, rows=None):
+def matrix(value, where, columns, rows=None):
     """A list of lists of `columns` numbers; any positive number of them unless `rows` is given."""
     if not isinstance(value, list) or not 0 < len(value) <= MOST_ENTRIES or rows not in (None, len(value)):
         raise Malformed(f"{where} should be a list of {rows or f'1 to {MOST_ENTRIES}'} rows")
-    return tuple(vector(row, number, where, columns) for row in value)
+    return tuple(vector(row, where, columns) for row in value)
 
 
 def fields(value, where, names, optional=()):
@@ -294,8 +350,8 @@ def fields(value, where, names, optional=()):
 def rows_of(value, dimension, where):
     """The rows (a, b) of a set {x : a x <= b}."""
     H, h = fields(value, where, ("H", "h"))
-    H = matrix(H, decimal, where, dimension)
-    return tuple(zip(H, vector(h, decimal, where, len(H))))
+    H = matrix(H, where, dimension)
+    return tuple(zip(H, vector(h, where, len(H))))
 
 
 @dataclass(frozen=True)
@@ -312,9 +368,9 @@ class Mode:
     def of(value, n, m, where):
         A, B, p, region, disturbance = fields(value, where, ("A", "B", "p", "region", "disturbance"))
         return Mode(
-            matrix(A, decimal, f"A of {where}", n, n),
-            matrix(B, decimal, f"B of {where}", m, n),
-            vector(p, decimal, f"p of {where}", n),
+            matrix(A, f"A of {where}", n, n),
+            matrix(B, f"B of {where}", m, n),
+            vector(p, f"p of {where}", n),
             rows_of(region, n + m, f"the region of {where}"),
             rows_of(disturbance, n, f"the disturbance set of {where}"),
         )
@@ -349,8 +405,8 @@ class Network:
     def _rows(weight, bias, columns, where):
         if columns is None:  # the first layer says how many inputs there are
             columns = len(weight[0]) if isinstance(weight, list) and weight and isinstance(weight[0], list) else 0
-        weight = matrix(weight, binary, where, columns)
-        return tuple((*row, b) for row, b in zip(weight, vector(bias, binary, where, len(weight))))
+        weight = matrix(weight, where, columns)
+        return tuple((*row, b) for row, b in zip(weight, vector(bias, where, len(weight))))
 
     @property
     def inputs(self):
@@ -390,10 +446,10 @@ class Certificate:
         modes, state_set, input_set = fields(system, "the system", ("modes", "state_set", "input_set"))
         if not isinstance(modes, list) or not 0 < len(modes) <= MOST_ENTRIES or not n:
             raise Malformed("the system should have a list of modes and at least one state")
-        C = matrix(template, binary, "the template", n)
+        C = matrix(template, "the template", n)
         if not all(map(any, C)):
             raise Malformed("the template has a row of zeros, which is no direction")
-        sets = matrix(sets, binary, "sets", len(C))
+        sets = matrix(sets, "sets", len(C))
         names = ("inputs", "safe_set", *OF_SEQUENCE * (len(sets) > 1), *OF_PLANT * ("plant" in content))
         return Certificate(
             tuple(Mode.of(mode, n, m, f"mode {number}") for number, mode in enumerate(modes, start=1)),
@@ -412,8 +468,8 @@ def read_claim(name, value, n):
     where = f"the claim {name!r}"
     kinds = {
         "steps": lambda v: natural(v, where),
-        "epsilon": lambda v: decimal(v, where),
-        "centre": lambda v: vector(v, decimal, where, n),
+        "epsilon": lambda v: number(v, where),
+        "centre": lambda v: vector(v, where, n),
         "alpha": lambda v: None if v is None else fraction(v, where),
         "holds": lambda v: v,
         "stable": lambda v: v,
@@ -423,12 +479,15 @@ def read_claim(name, value, n):
     verdict, *values = fields(value, where, ("verdict", *names), ("reason", "witness"))
     if verdict not in VERDICTS:
         raise Malformed(f"{where} has a verdict that is none of {', '.join(VERDICTS)}")
+    witness = value.get("witness")
+    if witness is not None and verdict != "not proven":
+        raise Malformed(f"{where} is {verdict}, and yet has a witness against it")
     found = {key: kinds[key](value) for key, value in zip(names, values)}
     if not isinstance(found.get("holds", True), bool) or not isinstance(found.get("stable", True), bool):
         raise Malformed(f"{where} should say true or false")
     if found.get("epsilon", 1) <= 0:
         raise Malformed(f"{where} needs a positive epsilon")
-    return {"verdict": verdict, **found}
+    return {"verdict": verdict, "witness": witness, **found}
 
 
 def read_plant(value, n, size):
@@ -441,13 +500,13 @@ def read_plant(value, n, size):
         found, count = {}, 0
         for term in terms:
             coefficient, powers = fields(term, "a term of f", ("coefficient", "powers"))
-            powers = vector(powers, natural, "the powers of f", size)
+            powers = vector(powers, "the powers of f", size, natural)
             count += prod(power + 1 for power in powers)
             if sum(powers) > MOST_POWERS or count > MOST_TERMS:
                 raise Malformed(f"f has powers above {MOST_POWERS}, or more than {MOST_TERMS} terms if multiplied out")
             if powers in found:
                 raise Malformed(f"the powers {powers} of f stand there twice")
-            found[powers] = decimal(coefficient, "f")
+            found[powers] = coefficient_of(coefficient, "f")
         components.append(found)
     return tuple(components)
 
@@ -461,7 +520,7 @@ def read_bounds(value, n, count, rows):
     solver, offsets = fields(value, "bounds", ("solver", "offsets"))
     if type(solver) is not str or not (solver.isascii() and solver.isprintable()) or len(solver) > 50:
         raise Malformed("the name of a solver has at most 50 printable letters")
-    return solver, matrix(offsets, binary, "bounds", rows, count)
+    return solver, matrix(offsets, "bounds", rows, count)
 
 
 # -- the plane ----------------------------------------------------------------------------------------
@@ -489,6 +548,11 @@ def half_plane(a, b):
     return whole((*a, -b))[0]
 
 
+def bytes_of(*lists):
+    """Roughly the memory that corners or forms take."""
+    return sum(120 + sum(32 + entry.bit_length() // 8 for entry in row) for rows in lists for row in rows)
+
+
 def point(corner):
     """A corner as a pair of fractions."""
     return Fraction(corner[0], corner[2]), Fraction(corner[1], corner[2])
@@ -500,7 +564,10 @@ def at(line, corner):
 
 
 def crossing(x, y, before, after):
-    """The corner between x and y where a line vanishes whose values `before` at x and `after` at y differ in sign."""
+    """The corner between x and y where a line vanishes whose values `before` at x and `after` at y differ in sign.
+
+    |after| x + |before| y, for the line has the value |after| before + |before| after = 0 there; W stays positive.
+    """
     before, after = abs(before), abs(after)
     X, Y, W = (after * a + before * b for a, b in zip(x, y))
     common = gcd(X, Y, W)
@@ -508,7 +575,11 @@ def crossing(x, y, before, after):
 
 
 def clip(corners, line):
-    """The part of a convex polygon, segment or point in the half-plane of a line; [] if there is none."""
+    """The part of a convex polygon, segment or point in the half-plane of a line; [] if there is none.
+
+    Corners on the line are kept, so that a line that touches leaves an edge or a corner. A line of zeros (0, 0, c)
+    keeps all for c <= 0 and nothing for c > 0. No corner becomes superfluous: new ones lie inside edges.
+    """
     values = [at(line, x) for x in corners]
     if not values or max(values) <= 0:
         return corners
@@ -533,9 +604,12 @@ def clip_all(corners, lines, clock):
 
 
 def polygon(rows, where, clock):
-    """The corners of {x : a x <= b for every row (a, b)}; Malformed if it is not bounded.
+    """The corners of {x : a x <= b for every row (a, b)}, [] if it is empty; Malformed if it is not bounded.
 
-    For whole a and b no coordinate of a corner exceeds 2 max|a| max|b|, by Cramer's rule: a square beyond that is cut.
+    For whole a and b no coordinate of a corner exceeds 2 max|a| max|b|, by Cramer's rule: the determinant below the
+    fraction is whole and not 0. A square beyond that is cut. A set that is not empty has a corner, or else holds a
+    line and ends, if at all, at lines that meet an axis within max|b|: it meets the square. So it has a corner on the
+    square's edge if and only if it is not bounded.
     """
     lines = [half_plane(a, b) for a, b in rows]
     half = 2 * max(max(abs(a), abs(b)) for a, b, _ in lines) * max(abs(c) for _, _, c in lines) + 1
@@ -559,10 +633,13 @@ def uncovered(corners, regions, clock):
     """A part of a polygon that no region (a list of lines) covers, or [].
 
     What closed regions leave of a polygon is open relative to it: it is empty, or of the dimension of the polygon.
+    Parts are kept with their edges, which regions may cover; the `middle` of a part is covered by none, since every
+    line that cut it off is positive in one of its corners at least and negative in none.
     """
     bare = [corners]
     for region in regions:
         following = []
+        clock.hold(sum(map(bytes_of, bare)))
         for part in bare:
             clock()
             for line in region:  # what lies beyond the first line, beyond the second but not the first, ...
@@ -627,15 +704,23 @@ def affine_pieces(network, domain, clock):
     pieces = [(domain, [(1, 0, 0), (0, 1, 0)], 1)]
     for fractions, pool in network.hidden:
         rows, own = over_one_unit(fractions)
-        following = []
+        following, size = [], 0
         for corners, forms, unit in pieces:
             clock()
             channels = [combine(row, forms, unit) for row in rows]
             parts = [(corners, [])]
             for start in range(0, len(channels), pool):
-                neuron = channels[start : start + pool]
-                parts = [(new, [*won, form]) for old, won in parts for new, form in winners(old, neuron, clock)]
-            following += [(part, won, unit * own) for part, won in parts]
+                neuron, split, held = channels[start : start + pool], [], 0
+                for old, won in parts:
+                    for new, form in winners(old, neuron, clock):
+                        split.append((new, [*won, form]))
+                        held += bytes_of(new, [form]) + 8 * len(won)
+                        clock.hold(size + held)
+                parts = split
+            for part, won in parts:
+                following.append((part, won, unit * own))
+                size += bytes_of(part, won)
+                clock.hold(size)
         pieces = following
     rows, own = over_one_unit(network.output)
     return [(corners, [combine(row, forms, unit) for row in rows], unit * own) for corners, forms, unit in pieces]
@@ -643,7 +728,7 @@ def affine_pieces(network, domain, clock):
 
 @dataclass(frozen=True)
 class Cell:
-    """A polygon on which mode number `mode` acts, with the forms of A x + B Phi(x) + p and their unit."""
+    """A polygon on which mode number `mode` acts (from 0), with the forms of A x + B Phi(x) + p and their unit."""
 
     corners: list
     mode: int
@@ -669,24 +754,31 @@ def unchecked(reason):
 class Claims:
     """All claims of one certificate; the method with a claim's name decides it."""
 
-    def __init__(self, certificate, seconds):
-        self.certificate, self.seconds, self.end = certificate, seconds, time.monotonic() + seconds
+    def __init__(self, certificate, clock):
+        self.certificate, self._clock = certificate, clock
         self.sets, self.last, self.n = certificate.sets, len(certificate.sets) - 1, len(certificate.modes[0].A)
         self.found, self.spread = {}, {}
 
     def results(self):
-        """One Result a claim, in the order of `CLAIMS`."""
+        """One Result per claim, in the order of `CLAIMS`.
+
+        A claim that the certificate does not make is not proven. A witness in the file counts for nothing: the Result
+        has the one that is derived here, and says so if the file has another.
+        """
         for key, claim in self.certificate.claims.items():
             try:
-                found = getattr(self, key)(claim)
-            except Stopped:
-                found = unchecked(f"stopped after {self.seconds:g} s")
-            if found[0] == "proven" and claim["verdict"] == "not proven":
-                found = unchecked("the certificate itself does not claim it")
-            self.found[key] = Result(key, *found)
+                verdict, reason, witness = getattr(self, key)(claim)
+            except Stopped as stop:
+                verdict, reason, witness = unchecked(str(stop))
+            if verdict == "proven" and claim["verdict"] == "not proven":
+                verdict, reason, witness = unchecked("the certificate itself does not claim it")
+            if claim["witness"] not in (None, parse(json.dumps(witness))):
+                reason += "; the witness in the file is another than the one derived here"
+            self.found[key] = Result(key, verdict, reason, witness)
         return tuple(self.found.values())
 
     def inputs(self, claim):
+        """No row a u - b of U is positive in a corner of a piece, where it is largest; if U is empty, one is."""
         if self.n != 2:
             return self._by_solver()
         for corners, forms, unit in self._pieces:
@@ -701,6 +793,11 @@ class Claims:
         return proven(f"{CLAIMS['inputs']}: {len(self._pieces)} pieces")
 
     def safe_set(self, claim):
+        """F_max is not empty, lies in X, is covered by cells, and holds their image.
+
+        States without a successor are witnesses by themselves: those outside X, those with an input outside U, those
+        that no region contains.
+        """
         if self.n != 2:
             return self._by_solver(0, 0)
         if not self._polygons[0]:
@@ -709,10 +806,14 @@ class Claims:
             return found
         cells, gap = self._cells_and_gap
         if gap:
-            return refuted(f"x = {show(gap)} lies in F_max and has no successor: no region contains it", state(gap))
+            return refuted(f"x = {show(gap)} lies in F_max and has no successor: {self._why_none(gap)}", state(gap))
         return self._leaves(0, 0) or proven(f"{CLAIMS['safe_set']}: {len(cells)} cells")
 
     def sequence(self, claim):
+        """The image of R_k lies in R_(k+1), k = 0, 1, ...; that of an empty set does in any set.
+
+        States of R_k without a successor have no image; where `safe_set` is proven there are none.
+        """
         if self.n != 2:
             found = [self._by_solver(k, k + 1) for k in range(self.last)]
             return next((one for one in found if one[0] == "refuted"), found[0])
@@ -723,6 +824,7 @@ class Claims:
         return proven(f"{CLAIMS['sequence']}: {self.last} steps")
 
     def terminal_set(self, claim):
+        """With F_max RPI and the images contained, R_k is reached in step k; it is not empty, for F_max is not."""
         if claim["steps"] != self.last:
             return refuted(f"the sequence has {self.last} steps, not {claim['steps']}")
         if self.n != 2:
@@ -731,7 +833,13 @@ class Claims:
         return found or proven(f"R_{self.last} is RPI and reached from all of F_max within {self.last} steps")
 
     def criterion(self, claim):
-        """S = c + (R_k - c) / (1 + epsilon) lies in R_1-bar(S), the smallest set with the rows C around R_1(S)."""
+        """S = c + (R_k - c) / (1 + epsilon) lies in R_1-bar(S), the smallest set with the rows C around R_1(S).
+
+        A row a x <= b of R_k is a x <= a c + (b - a c) / (1 + epsilon) = b - (b - a c) epsilon / (1 + epsilon) of S.
+        S lies in R_1-bar(S) if h of R_1(S) >= h of S along every row. The equation asks for c in R_k: the criterion
+        fails where b - a c < 0 for a row; 0 is allowed, c then lies on the boundary of R_k and of S. Where c is in R_k
+        S is not empty, for it holds c, and is part of R_k, which lies in F_max, where the cells are.
+        """
         if self.n != 2:
             return self._by_solver()
         if missing := self._missing("safe_set", "terminal_set"):
@@ -745,14 +853,33 @@ class Claims:
         return proven(says) if holds == claim["holds"] else refuted(says)
 
     def theorem_1(self, claim):
-        """alpha = min over the rows (a, b) of R_(k-1) of (b - a c) / (h of R_k along a - a c)."""
+        """alpha = min over the rows (a, b) of R_(k-1) of (b - a c) / (h of R_k along a - a c).
+
+        c + alpha (R_k - c) lies in R_(k-1) if a c + alpha (h of R_k along a - a c) <= b for every row, for alpha >= 0.
+        Room b - a c against size h of R_k along a - a c, for every row:
+
+            size > 0, room > 0     alpha <= room / size
+            size > 0, room = 0     c lies on the boundary of R_(k-1): alpha = 0
+            size > 0, room < 0     c lies outside R_(k-1), and in c + alpha (R_k - c) for every alpha >= 0: none
+            size <= 0              c lies on the boundary of R_k or outside, or R_k is flat: the theorem speaks of no
+                                   such c, and there is no alpha
+
+        Theorem 1 needs alpha > 1; with alpha = 1 the boundaries of R_k and R_(k-1) touch. Outside the plane the
+        offsets of R_k stand for h of R_k, which they bound.
+        """
         c, R = claim["centre"], self._polygons[-1] if self.n == 2 else None
         if R == []:
             return refuted("the terminal set is empty")
         sizes = [self._support(R, a) for a, _ in self.sets[-2]] if self.n == 2 else [b for _, b in self.sets[-1]]
         apart = [(b - dot(a, c), size - dot(a, c)) for (a, b), size in zip(self.sets[-2], sizes)]
-        alpha = min(before / size for before, size in apart) if min(size for _, size in apart) > 0 else None
-        says = "there is no alpha, for c is not inside R_k" if alpha is None else f"alpha = {beside_one(alpha)}"
+        alpha = None
+        if min(size for _, size in apart) <= 0:
+            says = "there is no alpha, for c is not inside R_k"
+        elif min(room for room, _ in apart) < 0:
+            says = f"there is no alpha, for c is not in {name(self.last - 1)}"
+        else:
+            alpha = min(room / size for room, size in apart)
+            says = f"alpha = {beside_one(alpha)}"
         stable = alpha is not None and alpha > 1
         if claim["alpha"] != alpha or claim["stable"] != stable:
             return refuted(f"{says}; Theorem 1 {'applies' if stable else 'does not apply'}")
@@ -764,7 +891,11 @@ class Claims:
         return missing or proven(f"{says}: R_k is asymptotically stable with region of attraction F_max")
 
     def error_set(self, claim):
-        """Each a (f - f_PWA) - b, (a, b) a row of D, is a polynomial nowhere positive in the region & X x U."""
+        """Each a (f - f_PWA) - b, (a, b) a row of D, is a polynomial nowhere positive in the region & X x U.
+
+        0 is allowed, for D is closed. Where the region does not meet X x U there is nothing to show; where it does, an
+        empty D has a row that is positive.
+        """
         certificate, boxes = self.certificate, 0
         n, m = self.n, len(certificate.network.output)
         limits = [((*a, *[0] * m), b) for a, b in certificate.state_set]
@@ -785,6 +916,7 @@ class Claims:
         return proven(f"{CLAIMS['error_set']}: {len(certificate.modes)} modes, {boxes} boxes")
 
     def theorem_2(self, claim):
+        """R_k has the origin in its interior (h > 0), and everything that Theorem 2 asks of the loop is proven."""
         if "terminal_set" not in self.found:
             return unchecked("no terminal set is claimed")
         if min(b for _, b in self.sets[-1]) <= 0:
@@ -793,10 +925,6 @@ class Claims:
         return missing or proven("the plant is ultimately bounded in R_k, uniformly in F_max")
 
     # -- what they need --
-
-    def _clock(self):
-        if time.monotonic() > self.end:
-            raise Stopped
 
     def _missing(self, *names):
         """None if these claims are proven, else what is to be said of one that rests on them."""
@@ -822,12 +950,17 @@ class Claims:
 
     @cached_property
     def _polygons(self):
-        """The corners of every set."""
-        return [polygon(rows, f"R_{k}", self._clock) for k, rows in enumerate(self.sets)]
+        """The corners of every set, [] where it is empty."""
+        found, size = [], 0
+        for k, rows in enumerate(self.sets):
+            found.append(polygon(rows, name(k), self._clock))
+            size += bytes_of(found[-1])
+            self._clock.hold(size)
+        return found
 
     @cached_property
     def _disturbances(self):
-        """The corners of D of every mode, as points."""
+        """The corners of D of every mode, as points; a D without points would make every claim true."""
         found = []
         for number, mode in enumerate(self.certificate.modes, start=1):
             corners = polygon(mode.disturbance, f"the disturbance set of mode {number}", self._clock)
@@ -838,11 +971,17 @@ class Claims:
 
     @cached_property
     def _cells_and_gap(self):
-        """The cells of the loop over F_max, and a state of F_max that lies in none of them, or None."""
-        F, cells, gap = [half_plane(a, b) for a, b in self.sets[0]], [], None
+        """The cells of the loop over F_max, and a state of F_max that lies in none of them, or None.
+
+        A cell is the part of a piece that lies in a region, with an input in U, be it an edge or a point. `winners`
+        leaves out pieces of lower dimension than X: their neighbours hold their points, with the same Phi(x).
+        """
+        F, cells, gap, size = [half_plane(a, b) for a, b in self.sets[0]], [], None, 0
         modes = self.certificate.modes
         maps = [over_one_unit([(*A, *B, p) for A, B, p in zip(mode.A, mode.B, mode.p)]) for mode in modes]
-        regions = [[half_plane(a, b) for a, b in mode.region] for mode in modes]
+        none = (0,) * self.n
+        U = [half_plane((*none, *a), b) for a, b in self.certificate.input_set]
+        regions = [[half_plane(a, b) for a, b in mode.region] + U for mode in modes]
         for piece, forms, unit in self._pieces:
             self._clock()
             corners = clip_all(piece, F, self._clock)
@@ -854,12 +993,21 @@ class Claims:
                 part = clip_all(corners, lines[number], self._clock)
                 if part:
                     cells.append(Cell(part, number, [combine(row, z, unit) for row in rows], unit * own))
+                    size += bytes_of(part, cells[-1].after)
+                    self._clock.hold(size)
             bare = uncovered(corners, lines, self._clock)
             gap = gap or (middle(bare) if bare else None)
         return cells, gap
 
+    def _why_none(self, x):
+        """Why a state of X has no successor."""
+        u = self.certificate.network(x)
+        if all(dot(a, u) <= b for a, b in self.certificate.input_set):
+            return "no region contains it with its input"
+        return f"its input u = {show(u)} lies outside U"
+
     def _beyond(self, k):
-        """None if R_k lies in F_max and in X, where the cells are."""
+        """None if R_k lies in F_max and in X, where the cells are; an empty R_k does."""
         for place, rows in (("F_max", self.sets[0]), ("X", self.certificate.state_set)):
             for a, b in rows:
                 self._clock()
@@ -875,8 +1023,14 @@ class Claims:
         return max(dot(a, x) for x in map(point, corners))
 
     def _excess(self, a, b, cell):
-        """The line that is positive where a (A x + B Phi(x) + p + d) > b for some d in D of the cell's mode."""
+        """The line that is positive where a (A x + B Phi(x) + p + d) > b for some d in D of the cell's mode.
+
+        With h the support function of D and s > 0 the number that makes s a whole, it is unit q s (a x+ + h(a) - b),
+        x+ without d, for s (h(a) - b) = p / q.
+        """
         key = cell.mode, a
+        if len(self.spread) > MOST_REMEMBERED:
+            self.spread.clear()
         if key not in self.spread:
             self.spread[key] = max(dot(a, d) for d in self._disturbances[cell.mode])
         row, scale = whole(a)
@@ -885,7 +1039,7 @@ class Claims:
         return x, y, w + rest.numerator * cell.unit
 
     def _leaves(self, k, j):
-        """None if the image of R_k lies in R_j."""
+        """None if the image of R_k lies in R_j, for R_k in F_max; else a step out. Nothing lies in an empty R_j."""
         lines = [half_plane(a, b) for a, b in self.sets[k]]
         for cell in self._cells_and_gap[0]:
             corners = clip_all(cell.corners, lines, self._clock)
@@ -898,7 +1052,7 @@ class Claims:
         return None
 
     def _attains(self, S, a, level):
-        """Whether a x+ >= level for some x in {x : S} and some d."""
+        """Whether a x+ >= level for some x in {x : S} and some d; S lies in F_max."""
         lines = [half_plane(*row) for row in S]
         for cell in self._cells_and_gap[0]:
             self._clock()
@@ -912,6 +1066,7 @@ class Claims:
         """A step from x in R_k that leaves R_j, x moved to few digits if it still does so."""
         d = max(self._disturbances[number], key=lambda d: dot(a, d))
         for digits in range(1, SHORT + 1):
+            self._clock()
             near = tuple(Fraction(round(entry * 10**digits), 10**digits) for entry in x)
             after = self._replay(k, number, near, d)
             if after is not None and dot(a, after) > b:
@@ -924,9 +1079,11 @@ class Claims:
         return refuted(f"x = {show(x)} lies in {name(k)}; {leads}, {outside}", step)
 
     def _replay(self, k, number, x, d):
-        """A x + B Phi(x) + p + d from the definition; None if x is not in R_k or not in the region of the mode."""
-        mode, z = self.certificate.modes[number], (*x, *self.certificate.network(x))
-        if any(dot(a, x) > b for a, b in self.sets[k]) or any(dot(a, z) > b for a, b in mode.region):
+        """A x + B Phi(x) + p + d from the definition; None if x is not in R_k, or the mode does not act there."""
+        mode, u = self.certificate.modes[number], self.certificate.network(x)
+        z = (*x, *u)
+        limits = (self.sets[k], x), (self.certificate.state_set, x), (self.certificate.input_set, u), (mode.region, z)
+        if any(dot(a, value) > b for rows, value in limits for a, b in rows):
             return None
         return tuple(dot((*A, *B), z) + p + e for A, B, p, e in zip(mode.A, mode.B, mode.p, d))
 
@@ -965,6 +1122,7 @@ def positive_somewhere(g, box, rows, clock):
     """A point of {z in box : rows} in which a polynomial is positive, or None; and how many boxes that took.
 
     Nothing is known if that is more than `MOST_BOXES`. Every box is moved and scaled to [-1, 1]^N, see `largest`.
+    A box is left alone if it is empty, if a row excludes all of it, or if its bound is at most 0, exactly.
     """
     boxes, used = [box], 0
     while boxes and used <= MOST_BOXES:
@@ -1019,7 +1177,9 @@ def centred(g, centre, radius, clock):
 def largest(g, size):
     """A bound of a polynomial over [-1, 1]^N, a point where it is likely to be large, what each coordinate bends it.
 
-    The constant, plus the maximum of the linear and quadratic term of each coordinate, plus the size of all else.
+    The constant, plus the maximum of the linear and quadratic term of each coordinate, plus the size of all else: of
+    a product of even powers, which lies in [0, 1], only a positive coefficient counts. b t + a t^2 is largest at
+    t = -b / (2 a) where that is a maximum inside (a < 0 and |b| < -2 a), else at the end where b t = |b|.
     """
     bound, linear, square, bent = Fraction(0), [Fraction(0)] * size, [Fraction(0)] * size, [Fraction(0)] * size
     for powers, coefficient in g.items():
@@ -1074,9 +1234,12 @@ def show(values):
 def about(value, digits=6):
     """A fraction rounded to so many digits."""
     try:
-        return f"{float(value):.{digits}g}"
+        found = float(value)
     except OverflowError:
         return "1e308 or more" if value > 0 else "-1e308 or less"
+    if value and not found:
+        return "less than 1e-323" if value > 0 else "above -1e-323"
+    return f"{found:.{digits}g}"
 
 
 def beside_one(alpha):
@@ -1093,8 +1256,14 @@ def arguments(**options):
     parser.add_argument("file", metavar="FILE", help="a certificate")
     parser.add_argument("--network", metavar="NET.json", help="say whether the certificate speaks of this network")
     parser.add_argument("--ignore-digest", action="store_true", help="go on to the mathematics without comparing it")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help=f"stop after this time; default: {SECONDS}")
+    parser.add_argument("--seconds", type=duration, default=SECONDS, help=f"stop after this time; default: {SECONDS}")
     return parser
+
+
+def duration(text):
+    """Seconds, from 0 on."""
+    Budget(float(text))
+    return float(text)
 
 
 def run(options):

@@ -373,6 +373,26 @@ def inclusion(V, w, local, row, offset, unit):
 
 
 @njit(cache=True)
+def dual_bounds(V, local, row, offset, unit):
+    """Upper bounds of v x over a FAT set of the plane for each row v of V, by weak duality with its rounding counted.
+
+    The arguments are those of `inclusion`; array (k,).
+    """
+    bound, extent = np.zeros(len(V)), _extent(local, row, offset)
+    for k in range(len(V)):
+        most = -10000
+        for j in range(2):
+            if V[k, j] != 0:
+                most = max(most, math.frexp(V[k, j])[1] + unit[j])
+        if most > -10000:
+            v0, v1 = math.ldexp(V[k, 0], unit[0] - most), math.ldexp(V[k, 1], unit[1] - most)
+            value, rest0, rest1 = _dual(v0, v1, local, row, offset)
+            value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
+            bound[k] = math.ldexp(value + ROUNDING * abs(value) + LEAST, most)
+    return bound
+
+
+@njit(cache=True)
 def around(points):
     """Points (k, 2) on the boundary of a convex set, counter-clockwise, without those between two others."""
     count = len(points)
@@ -425,15 +445,15 @@ def hull(points, turn):
 
 @njit(cache=True)
 def membership(x, H, h, tol):
-    """Whether H x <= h + tol, for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
+    """Whether H x <= h + tol, tol (l,), for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
     answer = np.ones(len(x), np.int64)
     for k in range(len(x)):
         for r in range(len(h)):
-            value, terms = 0.0, abs(h[r]) + abs(tol)
+            value, terms = 0.0, abs(h[r]) + abs(tol[r])
             for j in range(x.shape[1]):
                 value += H[r, j] * x[k, j]
                 terms += abs(H[r, j] * x[k, j])
-            value -= h[r] + tol
+            value -= h[r] + tol[r]
             doubt = (x.shape[1] + 4) * 2.0**-52 * terms + 2.0**-1060
             if value > doubt:
                 answer[k] = -1

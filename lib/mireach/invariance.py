@@ -11,7 +11,7 @@ from .checks import positive_number, real_array, require_kind, whole_number
 from .engines import exact
 from .engines.common import Witness
 from .engines.inputs import violating_state
-from .engines.steps import Escape, farthest_step
+from .engines.steps import Escape, attained, farthest_step
 from .loop import ClosedLoop
 from .polytope import Polytope, box_directions, directions
 from .rational import above, below, binary, dot, fractions, nearest, rational, strict_point
@@ -686,10 +686,13 @@ def _is_near_limit(loop, R, after, V, epsilon, c, engine, options):
 
 def _attains(loop, S, v, limit, witness):
     """Whether a step from S reaches the limit along v, without rounding."""
+    value, limit = attained(loop, S, v, witness), binary(limit)
+    if value is not None and value >= limit:
+        return True
     step = farthest_step(loop, S, v, witness.states[0], int(witness.modes[0]))
     if step is None and loop.system.state_size == 2:
         step = exact.farthest_steps(loop, S, v[None])[0]
-    return step is not None and step.value >= binary(limit)
+    return step is not None and step.value >= limit
 
 
 def _steps_into(loop, safe, target, V, engine, tol, max_steps, options):

@@ -176,8 +176,8 @@ class ClosedLoop:
 
     def _outside(self, x):
         X = self.system.state_set
-        slack = OUTSIDE * (np.abs(X.H) @ self._size)
-        return ~(np.isfinite(x).all(axis=-1) & X.contains(np.nan_to_num(x), tol=slack))
+        limit = X.h + OUTSIDE * (np.abs(X.H) @ self._size)
+        return ~(np.isfinite(x) & (np.nan_to_num(x) @ X.H.T <= limit).all(axis=-1, keepdims=True)).all(axis=-1)
 
     def _advance(self, x):
         """Nominal successors of states (N, n), and the mode of each: the first whose region contains (x, Phi(x)).

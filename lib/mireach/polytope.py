@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from . import rational
 from .balls import flint
 from .checks import positive_number, real_array, require_columns, require_kind, whole_number
-from .compiled import EMPTY, FAT, around, hull, in_units, inclusion, membership, polygon
+from .compiled import EMPTY, FAT, around, dual_bounds, hull, in_units, inclusion, membership, polygon
 from .errors import SolverError
 from .lp import LinearProgram
 from .rational import ExactOptimum, above, binary, nearest
@@ -195,7 +195,7 @@ class Polytope:
         return np.array([_float(self.exact_maximum(v).value, nearest) for v in V])
 
     def bound(self, V):
-        """The smallest floats that are not below the support function: array (k,).
+        """Floats that are not below the support function, and hardly above it: array (k,).
 
         Parameters
         ----------
@@ -215,10 +215,27 @@ class Polytope:
         Examples
         --------
         >>> P = Polytope([[3, 0], [-1, 0], [0, 1], [0, -1]], [1, 1, 1, 1])
-        >>> P.bound([[1, 0]]) == np.nextafter(1 / 3, 1)  # the float 1 / 3 lies below one third
+        >>> P.bound([[1, 0]]) > 1 / 3  # the float 1 / 3 lies below one third
         array([ True])
+
+        Notes
+        -----
+        In the plane weak duality with its rounding counted, where the vertices of P are certain; elsewhere exact.
         """
-        return np.array([_float(self.exact_maximum(v).value, above) for v in self._directions(V)])
+        V = self._directions(V)
+        if not self._is_fat:
+            return np.array([_float(self.exact_maximum(v).value, above) for v in V])
+        found = self._plane
+        bound = dual_bounds(V, found.local, found.row, found.offset, found.unit)
+        return np.minimum(bound, [self._own_offsets.get((v + 0.0).tobytes(), np.inf) for v in V])
+
+    @cached_property
+    def _own_offsets(self):
+        """The offset of each row of H, the smallest one of equal rows, by its bytes."""
+        own = {}
+        for row, offset in zip(self.H + 0.0, self.h.tolist()):
+            own[row.tobytes()] = min(offset, own.get(row.tobytes(), np.inf))
+        return own
 
     def _directions(self, V):
         """V as an array, its columns checked."""
@@ -445,23 +462,23 @@ class Polytope:
         Parameters
         ----------
         x : array (n,) or (N, n)
-        tol : float
-            In units of h. The default asks for the closed set itself; a computed vertex is inside
-            only to within rounding, 1e-9 is ample for it in units in which the set has a size of about 1.
+        tol : float or array (l,)
+            In units of h, for all rows or for each. The default asks for the closed set itself; a computed vertex is
+            inside only to within rounding, 1e-9 is ample for it in units in which the set has a size of about 1.
 
         Returns
         -------
         bool, or array (N,) of bool
         """
-        x = np.asarray(x, float)
+        x, tol = np.asarray(x, float), np.full(len(self.h), tol, float)
         require_columns(x, self.dimension, "x", "the dimension of the polytope")
         if not x.flags.c_contiguous:
             x = np.ascontiguousarray(x)
         if x.ndim == 1:
-            answer = membership(x[None], self.H, self.h, float(tol))[0]
+            answer = membership(x[None], self.H, self.h, tol)[0]
             return bool(answer > 0 or (answer == 0 and self._holds_floats(x, tol)))
         rows = x.reshape(-1, self.dimension)
-        answer = membership(rows, self.H, self.h, float(tol))
+        answer = membership(rows, self.H, self.h, tol)
         inside = answer > 0
         for k in np.flatnonzero(answer == 0):
             inside[k] = self._holds_floats(rows[k], tol)
@@ -471,9 +488,11 @@ class Polytope:
         """Whether a row of floats satisfies H x <= h + tol; False if one of them is not finite."""
         return bool(np.isfinite(x).all()) and self._holds(binary(x), binary(tol))
 
-    def _holds(self, point, tol=0):
-        """Whether a point of fmpq satisfies H x <= h + tol."""
-        return all(rational.dot(a, point) <= b + tol for a, b in zip(*self.exact))
+    def _holds(self, point, tol=None):
+        """Whether a point of fmpq satisfies H x <= h + tol, for tol (l,) of fmpq."""
+        H, h = self.exact
+        limits = h if tol is None else [b + t for b, t in zip(h, tol)]
+        return all(rational.dot(a, point) <= b for a, b in zip(H, limits))
 
     def is_subset(self, Q, tol=0.0):
         """Whether P lies in Q, h_P(H_Q) <= h_Q, decided without rounding. An empty P lies in every Q.
@@ -496,8 +515,7 @@ class Polytope:
             rows = np.flatnonzero(answer < 1)
         else:
             rows = np.arange(len(Q.h))
-        own = {row.tobytes(): offset for row, offset in zip(self.H + 0.0, self.h)}
-        rows = [r for r in rows if not own.get((Q.H[r] + 0.0).tobytes(), np.inf) <= Q.h[r]]
+        rows = [r for r in rows if not self._own_offsets.get((Q.H[r] + 0.0).tobytes(), np.inf) <= Q.h[r]]
         return not rows or self.is_empty or all(self._stays_below(Q.H[r], Q.h[r], tol) for r in rows)
 
     def _stays_below(self, v, limit, tol):

@@ -320,14 +320,6 @@ def test_a_point_whose_rows_are_rounded_is_a_point():
 # -- bad input ----------------------------------------------------------------------------------------
 
 
-def test_network_that_leaves_the_input_set_between_samples_is_found():
-    loop = narrow_spike()
-    with pytest.raises(ValueError, match=r"leaves the input set by 1.*x = \[0\.71"):
-        support(loop, Polytope.box([-1, -1], [0, 0]), V)
-    with pytest.raises(ValueError, match="leaves the input set"):
-        cells(loop)
-
-
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
