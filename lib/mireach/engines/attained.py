@@ -11,14 +11,16 @@ import numpy as np
 
 from .. import rational
 from ..balls import flint
+from ..errors import SolverError
 from ..lp import LinearProgram
 from ..polytope import Polytope
+from .bounds import far_points
 from .common import Witness
 
 INWARD = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4)  # shares of the way to a centre by which a state is moved, one after another
 CORNERS = 12  # of the set where trajectories start, towards which other pieces are looked for
 BESIDE = 1e-6  # share of the way to a corner at which another piece of the loop is looked for
-CLOSE = 1e-7  # a value this close to what floats claimed is taken at once (relative to 1 + its size)
+CLOSE = 1e-9  # a value this close to what floats claimed is taken at once (relative to 1 + its size)
 FLAT = 1e-9  # radius of the largest ball in a set below which it is flat (units of x)
 CACHED = 64  # loops and disturbance sets that are kept as rationals
 
@@ -70,47 +72,60 @@ def attained(loop, F, v, paths, inputs=False, end=np.inf):
     end : float
         The `perf_counter` after which each path is tried once only.
     """
-    exact, best = _exact(loop), None
-    inside, v = F.exact, rational.binary(v)
-    for k, (claimed, (x, modes, disturbances)) in enumerate(paths):
-        if best is not None and best.value >= claimed - CLOSE * (1 + abs(claimed)):
-            break
-        for start in _starts(loop, F, v, np.asarray(x, float), modes, disturbances, thorough=k == 0):
-            found = exact.replay(inside, v, start(), modes, disturbances, inputs)
-            if found is not None and (best is None or found.value > best.value):
-                best = found
-            if (best is not None and best.value >= claimed - CLOSE * (1 + abs(claimed))) or perf_counter() > end:
+    exact, best, v = _exact(loop), None, rational.binary(v)
+    for starts in (_itself, _towards_the_middle, _inside_of_its_piece, _best_of_pieces):
+        for claimed, (x, modes, disturbances) in paths[: 1 if starts is _best_of_pieces else None]:
+            enough = claimed - CLOSE * (1 + abs(claimed))
+            if best is not None and best.value >= enough:
                 break
+            for start in starts(loop, F, v, np.asarray(x, float), modes, disturbances):
+                found = exact.replay(F.exact, v, start, modes, disturbances, inputs)
+                if found is not None and (best is None or found.value > best.value):
+                    best = found
+                if (best is not None and best.value >= enough) or perf_counter() > end:
+                    break
     return best
 
 
-def _starts(loop, F, v, x, modes, disturbances, thorough):
-    """Functions that make states near x: x itself, then moved towards centres, then the nearest rational points.
+# -- states near x as rationals (None where there is none), from the cheapest to the most thorough -------------------
 
-    A thorough search ends with the best states of whole pieces of the loop: that of x and, as channels may tie there,
-    those beside it.
-    """
-    yield lambda: rational.binary(x)
-    parts = [_part(loop, F, x, modes, disturbances), F] if modes else [F]
-    centres = [centre for centre in map(_centre, parts) if centre is not None]
-    for centre in centres:
-        for share in INWARD:
-            yield lambda centre=centre, share=share: rational.binary(x + share * (centre - x))
-    yield lambda: _nearest(F, x)
-    for centre in centres:
-        for share in INWARD:
-            yield lambda centre=centre, share=share: _nearest(F, x + share * (centre - x))
+
+def _itself(loop, F, v, x, modes, disturbances):
+    """x as it is."""
+    yield rational.binary(x)
+
+
+def _towards_the_middle(loop, F, v, x, modes, disturbances):
+    """x moved towards the centre of F."""
+    yield from _moved(F, x, _centre(F))
+
+
+def _inside_of_its_piece(loop, F, v, x, modes, disturbances):
+    """x moved towards the centre of its piece of the loop; the points of F that are nearest to these, if it is flat."""
+    centre = _centre(_part(loop, F, x, modes, disturbances)) if modes else None
+    yield from _moved(F, x, centre)
+    for towards in (centre, _centre(F)):
+        for share in (0.0, *INWARD) if towards is not None else ():
+            yield _nearest(F, x + share * (towards - x))
+
+
+def _best_of_pieces(loop, F, v, x, modes, disturbances):
+    """The best states of whole pieces of the loop: that of x and, as channels may tie there, those beside it."""
     seen = set()
-    for near in [x, *(x + BESIDE * (corner - x) for corner in _corners(F))] if thorough and modes else ():
-        yield lambda near=near: _exact(loop).best_of_piece(F, v, near, modes, disturbances, seen)
+    for near in [x, *(x + BESIDE * (corner - x) for corner in _corners(F))] if modes else ():
+        yield _exact(loop).best_of_piece(F, v, near, modes, disturbances, seen)
+
+
+def _moved(F, x, centre):
+    """x moved towards a point, if there is one, by more and more."""
+    for share in INWARD if centre is not None else ():
+        yield rational.binary(x + share * (centre - x))
 
 
 @lru_cache(maxsize=4 * CACHED)
 def _corners(P):
     """Points of P that are farthest along some directions."""
-    across = np.random.default_rng(0).normal(size=(CORNERS, P.dimension))
-    found = [P.farthest(v) for v in across]
-    return [point for point in found if point is not None]
+    return far_points(P, np.random.default_rng(0).normal(size=(CORNERS, P.dimension)))
 
 
 def _part(loop, F, x, modes, disturbances):
@@ -146,16 +161,22 @@ def _part(loop, F, x, modes, disturbances):
 @lru_cache(maxsize=4 * CACHED)
 def _centre(P):
     """The centre of a large ball in P, or where P is flat a point inside of all rows that allow it; None if empty."""
-    centre, radius = P.chebyshev()
-    if centre is not None and radius > FLAT:
-        return centre
-    lp, rows = LinearProgram(), len(P.h)
-    x = lp.add_columns(np.full(P.dimension, -np.inf), np.full(P.dimension, np.inf))
-    room = lp.add_columns(np.zeros(rows), np.ones(rows))
-    for a, b, t in zip(P.H, P.h, room):
-        lp.add_row([*x, t], [*a, np.linalg.norm(a)], upper=b)
-    best = lp.maximize(room, np.ones(rows))
-    return None if best.point is None else best.point[: P.dimension]
+    length, n = np.linalg.norm(P.H, axis=1), P.dimension
+    for ball in (True, False):
+        lp = LinearProgram()
+        x = lp.add_columns(np.full(n, -np.inf), np.full(n, np.inf))
+        room = lp.add_columns(np.zeros(1 if ball else len(P.h)), 1)
+        for k, (a, b) in enumerate(zip(P.H, P.h)):  # a ball of radius t, or a distance t of each row
+            lp.add_row([*x, room[0 if ball else k]], [*a, length[k]], upper=b)
+        try:
+            best = lp.maximize(room, np.ones(len(room)))
+        except SolverError:
+            return None
+        if best.point is None:
+            return None
+        if not ball or best.value > FLAT:
+            return best.point[:n]
+    return None
 
 
 def _nearest(P, x):

@@ -84,6 +84,13 @@ def proven_support(P, V):
     return found
 
 
+def far_points(P, V):
+    """Points (k, n) of a bounded, nonempty Polytope that are farthest along the rows of V, to within tolerances."""
+    lp, x = _program(P)
+    found = [lp.maximize(x, v).point for v in V]
+    return np.array([P.farthest(v) if point is None else point for v, point in zip(V, found)])
+
+
 @lru_cache(maxsize=CACHED)
 def proven_box(P):
     """A box (lower (n,), upper (n,)) around a bounded Polytope; lower > upper if it is proven to be empty."""

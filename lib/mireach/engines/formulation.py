@@ -83,6 +83,10 @@ class Affine:
             row += rows
         return Affine(matrix, constant, error)
 
+    def take(self, rows):
+        """The functions with the given indices."""
+        return Affine(self.matrix[rows], self.constant[rows], self.error[rows])
+
     def map(self, lp, weight, bias):
         """weight (...) + bias: the error grows by |weight| error and by the rounding of the products and sums."""
         limit = np.maximum(np.abs(lp.lower), np.abs(lp.upper))[: self.matrix.shape[1]]
@@ -229,10 +233,10 @@ def add_network(lp, network, x, bounds="lp", known=None):
     """
     q = Affine.columns(x)
     for i, layer in enumerate(network.hidden):
-        neurons = []
+        neurons, channels = [], q.map(lp, layer.weight, layer.bias)
         for neuron in range(layer.width):
             rows = slice(neuron * layer.pool, (neuron + 1) * layer.pool)
-            z = q.map(lp, layer.weight[rows], layer.bias[rows])
+            z = channels.take(rows)
             neurons.append(_add_neuron(lp, z, bounds, None if known is None else known.layers[i].neuron(neuron)))
         q = Affine.join(neurons)
     return _add_values(lp, q.map(lp, network.weight, network.bias), bounds, known and known.inputs)
@@ -318,7 +322,7 @@ def widened(low, high):
 def _add_neuron(lp, z, bounds, known):
     """One maxout neuron with channels z: its value as Affine, one column if more than one channel may win."""
     alive, ahead = _compare(lp, z, bounds, known)
-    z = Affine(z.matrix[alive], z.constant[alive], z.error[alive])
+    z = z.take(alive)
     if len(alive) == 1:
         return z
     low, high = _range(lp, z, bounds, known)

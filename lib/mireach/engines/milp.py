@@ -24,7 +24,7 @@ from ..checks import positive_number, real_array, whole_number
 from ..errors import SolverError, SolverStopped
 from ..lp import BRANCHED, GAP, MIP_TOLERANCE
 from .attained import attained
-from .bounds import METHODS, SAFETY, proven_support
+from .bounds import METHODS, SAFETY, far_points, proven_support
 from .boxes import Boxes, bound_loop
 from .common import COUNTED, SOLVER, Support, checked_query, empty_support, replay
 from .formulation import Model, build, build_inputs, root_box
@@ -475,9 +475,9 @@ class _Simulation:
 def _extreme_points(P, V):
     """Points of a polytope that are farthest along the rows of V: (e, n).
 
-    Rounding can lead beyond the tip of a needle: such points are left out, unless there are no others.
+    Tolerances can lead far beyond the tip of a needle: such points are left out, unless there are no others.
     """
-    points = np.array([P.farthest(v) for v in V])
+    points = far_points(P, V)
     excess = (points @ P.H.T - P.h).max(axis=1)
     return points[excess <= max(OUTSIDE, excess.min())]
 
