@@ -22,7 +22,7 @@ def times(values, factor):
     """
     scaled = values * factor
     if not (scaled / factor == values).all():
-        raise ValueError("the numbers lie too far apart: no units hold all of them as floats")
+        raise ValueError("the numbers lie too far apart for exact scaling; choose other units")
     return scaled
 
 
