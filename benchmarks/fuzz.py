@@ -1,7 +1,8 @@
-"""Cells, exact arithmetic, MILP and sampling on many random loops: python benchmarks/fuzz.py [COUNT] [FIRST]
+"""All engines on many random loops: python benchmarks/fuzz.py [COUNT] [FIRST] [--hard]
 
-Prints the questions asked and every disagreement; the exit status is 1 if there is one. The questions, and what counts
-as a disagreement, are in tests/fuzz.py.
+Prints the questions asked and every disagreement; the exit status is 1 if there is one. With --hard the loops are badly
+conditioned and the truth is found in fractions. The questions, and what counts as a disagreement, are in
+tests/fuzz.py.
 """
 
 import argparse
@@ -13,16 +14,18 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from fuzz import disagreements
+from fuzz import disagreements, wrong_verdicts
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
     parser.add_argument("count", type=int, nargs="?", default=5000, help="loops; default: 5000")
     parser.add_argument("first", type=int, nargs="?", default=1000, help="the first seed; default: 1000")
+    parser.add_argument("--hard", action="store_true", help="badly conditioned loops")
     options = parser.parse_args()
+    ask = wrong_verdicts if options.hard else disagreements
     count, first = options.count, options.first
-    work = Parallel(n_jobs=-1, return_as="generator")(delayed(disagreements)(first + i) for i in range(count))
+    work = Parallel(n_jobs=-1, return_as="generator")(delayed(ask)(first + i) for i in range(count))
     asked, found = Counter(loops=count), []
     for texts, questions in tqdm(work, total=count, unit="loop"):
         asked += questions

@@ -258,21 +258,22 @@ def exactly_inside(P, x):
     return all(_exact_dot(row, x) <= Fraction(b) for row, b in zip(P.H.tolist(), P.h.tolist()))
 
 
-def exact_maximum(H, h, c):
+def exact_maximum(H, h, c, scale=None):
     """max c x over H x <= h as a Fraction, attained by a rational point: (value, x); None if none is found.
 
-    scipy finds which rows are tight; that their meeting lies in all rows and that c is a nonnegative combination of
-    them is then checked without rounding, for other choices of nearly tight rows too.
+    scipy finds which rows are tight, for x in units of `scale`; that their meeting lies in all rows and that c is a
+    nonnegative combination of them is then checked without rounding, for other choices of nearly tight rows too.
     """
     H, c = [[Fraction(a) for a in row] for row in H], [Fraction(a) for a in c]
     h, n = [Fraction(b) for b in h], len(c)
-    size = [max(map(abs, row)) or Fraction(1) for row in H]
-    A = np.array([[float(a / k) for a in row] for row, k in zip(H, size)])
-    b = np.array([float(b / k) for b, k in zip(h, size)])
+    A, b = _rows_for_floats(H, h, scale)
     top = max(map(abs, c)) or Fraction(1)
     found = linprog(-np.array([float(a / top) for a in c]), A, b, bounds=(None, None), method="highs-ds")
     if found.status:
         return None
+    if not any(c):  # where x1 is largest there is a point, if floats are right that the set is not empty
+        best = exact_maximum(H, h, [int(i == 0) for i in range(n)], scale)
+        return best and (Fraction(0), best[1])
     nearly = np.argsort(b - A @ found.x, kind="stable")[: n + 4].tolist()
     for chosen in combinations(nearly, n):
         rows = [H[i] for i in chosen]
@@ -307,23 +308,44 @@ def exact_highest(loop, F, V):
     n, X = loop.system.state_size, loop.system.state_set
     rows = [(list(map(Fraction, a)), Fraction(b)) for P in (F, X) for a, b in zip(P.H.tolist(), P.h.tolist())]
     identity = [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
-    best = [None] * len(V)
-    for K, g, inside in _exact_choices(loop.network.hidden, identity, [Fraction(0)] * n, rows):
+    best, V = [None] * len(V), V.tolist()
+    scale = list(map(Fraction, np.abs(X.bounding_box()).max(axis=0).tolist()))
+    pushed = [
+        [exact_maximum(D.H.tolist(), D.h.tolist(), v, scale)[0] for v in V]
+        for D in (mode.disturbance for mode in loop.system.modes)
+    ]
+    for K, g, inside in _exact_choices(loop.network.hidden, identity, [Fraction(0)] * n, rows, scale):
         K, g = _exact_affine(loop.network.weight, loop.network.bias, K, g)
-        for mode in loop.system.modes:
+        for mode, farthest in zip(loop.system.modes, pushed):
             H, h = [row for row, _ in inside], [limit for _, limit in inside]
             of_region, of_h = _exact_affine(mode.region.H[:, n:], -mode.region.h, K, g)
             H += [[Fraction(a) + b for a, b in zip(row, of_u)] for row, of_u in zip(mode.region.H.tolist(), of_region)]
             h += [-value for value in of_h]
+            if exact_maximum(H, h, [0] * n, scale) is None:
+                continue
             M, c = _exact_affine(mode.B, mode.p, K, g)
             M = [[Fraction(a) + b for a, b in zip(row, of_u)] for row, of_u in zip(mode.A.tolist(), M)]
-            for k, v in enumerate(V.tolist()):
-                pushed = exact_maximum(mode.disturbance.H.tolist(), mode.disturbance.h.tolist(), v)
-                top = exact_maximum(H, h, [_exact_dot(v, column) for column in zip(*M)])
-                if top is not None and pushed is not None:
-                    value = top[0] + _exact_dot(v, c) + pushed[0]
+            for k, v in enumerate(V):
+                top = exact_maximum(H, h, [_exact_dot(v, column) for column in zip(*M)], scale)
+                if top is not None:
+                    value = top[0] + _exact_dot(v, c) + farthest[k]
                     best[k] = value if best[k] is None else max(best[k], value)
     return best
+
+
+def _floats_find_none(rows, scale):
+    """Whether scipy calls rows (a, b) of Fractions contradictory."""
+    A, b = _rows_for_floats(*zip(*rows), scale)
+    return linprog(np.zeros(A.shape[1]), A, b, bounds=(None, None), method="highs-ds").status == 2
+
+
+def _rows_for_floats(H, h, scale):
+    """Rows of Fractions as floats: x in units of `scale`, each row divided by its largest entry."""
+    scale = [Fraction(1)] * len(H[0]) if scale is None else scale
+    H = [[a * s for a, s in zip(row, scale)] for row in H]
+    size = [max(map(abs, row)) or Fraction(1) for row in H]
+    A = np.array([[float(a / k) for a in row] for row, k in zip(H, size)])
+    return A, np.array([float(b / k) for b, k in zip(h, size)])
 
 
 def _exact_affine(W, b, K, g):
@@ -333,7 +355,7 @@ def _exact_affine(W, b, K, g):
     return matrix, [_exact_dot(row, g) + Fraction(c) for row, c in zip(W, np.asarray(b).tolist())]
 
 
-def _exact_choices(hidden, K, g, rows):
+def _exact_choices(hidden, K, g, rows, scale):
     """K x + g of the last hidden layer and the rows (a, b), for every choice of winning channels."""
     if not hidden:
         yield K, g, rows
@@ -344,7 +366,9 @@ def _exact_choices(hidden, K, g, rows):
     for won in product(*groups):
         beaten = [(i, j) for group, j in zip(groups, won) for i in group if i != j]
         more = [([a - b for a, b in zip(Z[i], Z[j])], z[j] - z[i]) for i, j in beaten]
-        yield from _exact_choices(hidden[1:], [Z[j] for j in won], [z[j] for j in won], rows + more)
+        if _floats_find_none([*rows, *more], scale):
+            continue
+        yield from _exact_choices(hidden[1:], [Z[j] for j in won], [z[j] for j in won], rows + more, scale)
 
 
 def exactly_in_triangle(corners, x):
