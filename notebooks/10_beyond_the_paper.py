@@ -718,13 +718,14 @@ for words, loop in loops.items():
 # %% [markdown]
 # ## 5 A certificate that anybody can check
 #
-# So far *proven* meant: this package says so, with bounds that are rounded outward. A referee need not believe that.
+# So far *proven* meant: this package says so, by counted rounding or exact arithmetic. A referee need not believe that.
 # `mr.certificate.write` puts system, network, template, the sequence of sets and the claims into one file; where a
 # set misses its claim by rounding, it is enlarged until the claim is *exactly* true. `mr.certificate.verify` derives
 # every claim again: `mireach/checker.py` imports nothing but Python's standard library, shares no code with the
 # engines, and computes with whole numbers, so that nothing is ever rounded.
 #
-# Decimals of the plant are decimals there, $0.936 = 936/1000$; weights are the binary fractions that floats are.
+# Every number counts as the float that it is, a binary fraction: 0.936 is 8430738502437569 / 2^53. The checker reads it
+# in the same way.
 
 # %% tags=["nbval-check-output"]
 folder = Path(tempfile.mkdtemp())

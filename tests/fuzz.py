@@ -143,7 +143,8 @@ def hard_loop(seed):
         low, high = enclosing_inputs(net, X)
         U = Polytope.box(low - 0.1 * np.abs(low), high + 0.1 * np.abs(high))
     reach = np.abs(U.bounding_box()).max(axis=0)
-    gain, cut = 10.0 ** rng.choice([rng.uniform(-1, 0), rng.uniform(0, 6)]), rng.normal(size=n + m)
+    calm = rng.random() < 0.4  # a loop of which X may be RPI
+    gain, cut = 0.2 if calm else 10.0 ** rng.choice([rng.uniform(-1, 0), rng.uniform(0, 6)]), rng.normal(size=n + m)
     cut[n:] *= rng.integers(0, 2) * unit / reach
     offset = cut[:n] @ X.sample(rng, 1)[0]
     sides = [Polytope(sign * cut[None], [sign * offset]) for sign in (1.0, -1.0)][: int(rng.integers(1, 3))]
@@ -152,8 +153,9 @@ def hard_loop(seed):
     for side in sides:
         A = gain * rng.normal(size=(n, n)) * rng.integers(0, 2, (n, n))
         D = disturbance(rng.choice(["box", "segment", "point", "origin"]), rng, n)
-        D = None if D is None else Polytope(D.H, D.h * 0.3 * unit)
-        modes.append(mr.Mode(A, 0.3 * unit * rng.normal(size=(n, m)) / reach, 0.1 * unit * rng.normal(size=n), side, D))
+        D = None if D is None else Polytope(D.H, D.h * (0.1 if calm else 0.3) * unit)
+        B = (0.05 if calm else 0.3) * unit * rng.normal(size=(n, m)) / reach
+        modes.append(mr.Mode(A, B, (0.05 if calm else 0.1) * unit * rng.normal(size=n), side, D))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "the region of mode")
         return rng, mr.ClosedLoop(mr.PWASystem(modes, X, U), net)
