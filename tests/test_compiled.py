@@ -21,7 +21,7 @@ def readonly(array):
 
 
 def vertices(H, h):
-    return polygon(readonly(H), readonly(h), PARALLEL, TOL)
+    return polygon(readonly(H), readonly(h), PARALLEL, TOL)[1]
 
 
 def support_by_lp(H, h, v):
