@@ -694,7 +694,7 @@ def safe_set_cut_first(loop, V, max_iterations=60):
         value, inside = cut_then_cover(loop, history[-1], V)
         if inside:
             break
-        history.append(mr.Polytope(V, np.minimum(value, history[-1].support(V))))
+        history.append(mr.Polytope(V, np.minimum(value, history[-1].bound(V))))
     return history
 
 
