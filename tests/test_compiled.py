@@ -1,5 +1,6 @@
 """The compiled loops against brute force over all pairs of rows, and against scipy's linear programs."""
 
+from fractions import Fraction
 from itertools import combinations
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from mireach.compiled import around, highest, parts, polygon, sharp_pairs
+from mireach.compiled import _doubt, around, highest, parts, polygon, sharp_pairs
 from mireach.polygons import Polygons
 
 PARALLEL, TOL = 1e-12, 1e-11
@@ -199,3 +200,20 @@ def test_many_rows_through_one_vertex_give_it_once(seed):
     centre, angles = 10 * rng.normal(size=2), np.sort(rng.uniform(0.2, 1.3, 6))
     H = np.vstack([np.column_stack([np.cos(angles), np.sin(angles)]), [[-1, 0], [0, -1]]])
     assert len(vertices(H, H @ centre + np.array([0] * 6 + [1, 1]))) in (3, 4)
+
+
+# -- what a piece may be off by -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_doubt_of_a_piece_covers_all_states_in_the_slits_around_it(seed):
+    """The largest of three channels against the first one, in fractions, at points that far beyond the edges."""
+    rng, slits = np.random.default_rng(seed), 2.0**-4
+    polygon, channels = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), rng.integers(-8, 9, (3, 3)) / 4.0
+    error = np.array([0.0, 1 / 128, 0])
+    doubt = _doubt(polygon, 4, channels, error, 0, 3, 0, slits)
+    for corner in polygon:
+        for beyond in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            x = [Fraction(c) + Fraction(slits) * d for c, d in zip(corner.tolist(), beyond)]
+            z = [sum(Fraction(a) * b for a, b in zip(row, [*x, 1])) + Fraction(e) for row, e in zip(channels, error)]
+            assert max(z) - z[0] <= Fraction(doubt)

@@ -1,4 +1,4 @@
-"""What may settle that R_1(F) stays within half-planes: bounds and exact arithmetic, not what a solver says or attains."""
+"""What may settle that R_1(F) stays within half-planes: bounds and exact arithmetic, not the word of a solver."""
 
 from dataclasses import replace
 
