@@ -376,6 +376,50 @@ def test_ultimate_bound_needs_a_plant_that_may_be_in_all_of_the_safe_set():
     assert ultimately_bounded(plant, loop, safe, terminal_set(loop, safe)).verdict == "unknown"
 
 
+# -- what a proof of Theorem 2 may rest on --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("limits", "verdict"),
+    [
+        ((0.75, 0.5, 0.375), "proven"),
+        ((0.625,), "proven"),
+        ((0.5,), "unknown"),  # R_1(F_max) is the box of 0.6
+        ((0.75, 0.375), "unknown"),  # 0.75 goes to 0.475
+        ((0.625, 0.8), "unknown"),  # the images fit, but the sets are not nested
+        ((0.625, 0.63, 0.5), "unknown"),
+    ],
+)
+def test_theorem_2_needs_nested_sets_that_hold_the_image_of_the_one_before(limits, verdict):
+    """x+ = x / 2 + d with |d| <= 0.1 takes the box of half-width r to that of r / 2 + 0.1; F_max is X, of 1."""
+    loop = contraction()
+    plant = NonlinearSystem(lambda x, u: (0.5 * x[0], 0.5 * x[1]), loop.system.state_set, loop.system.input_set)
+    safe = safe_set(loop, BOX)
+    history = [safe.set, *(Polytope(BOX, np.full(4, r)) for r in limits)]
+    terminal = replace(terminal_set(loop, safe, BOX), set=history[-1], steps=len(limits), history=history)
+    found = ultimately_bounded(plant, loop, safe, terminal)
+    assert found.verdict == verdict
+    assert [text for text, holds in found.conditions.items() if not holds] == (
+        [] if verdict == "proven" else ["the terminal set is reached from F_max"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("bound", "invariant", "reached"), [(0.35, True, True), (0.75, True, False), (1.5, False, False)]
+)
+def test_theorem_2_rests_on_bounds_and_not_on_attained_values(monkeypatch, bound, invariant, reached):
+    loop = contraction(n=3, p=np.zeros(3))
+    plant = NonlinearSystem(lambda x, u: [0.5 * x[i] for i in range(3)], loop.system.state_set, loop.system.input_set)
+    safe = safe_set(loop)
+    half = Polytope.box([-0.5] * 3, [0.5] * 3)
+    terminal = replace(terminal_set(loop, safe), set=half, history=[safe.set, half])
+    answering(monkeypatch, bound, 0.0)
+    found = ultimately_bounded(plant, loop, safe, terminal)
+    assert found.conditions["F_max is RPI"] == invariant
+    assert found.conditions["the terminal set is reached from F_max"] == reached
+    assert (found.verdict == "proven") == reached
+
+
 # -- bad input ----------------------------------------------------------------------------------------
 
 
