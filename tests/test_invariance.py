@@ -1,6 +1,7 @@
 """Invariant sets: hand answers for linear loops, and random loops whose trajectories must not leave what is proven."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -315,6 +316,28 @@ def test_alpha_is_the_largest_factor_that_keeps_the_set_inside_the_one_before():
     corners = found.set.vertices()[:, None]
     assert grown.contains(corners + 0.999 * found.delta_max * ball).all()
     assert not grown.contains(corners + 1.001 * found.delta_max * directions(8)).all()
+
+
+def test_alpha_is_rounded_down():
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        h, before, c = rng.uniform(0.5, 2, 4), rng.uniform(0.5, 2, 4), rng.uniform(-0.4, 0.4, 2)
+        middle = [Fraction(s * e) for s, e in zip((1, 1, -1, -1), (*c.tolist(), *c.tolist()))]
+        rooms = [(Fraction(b) - m, Fraction(o) - m) for b, o, m in zip(before.tolist(), h.tolist(), middle)]
+        exactly, alpha = min(room / size for room, size in rooms), _growth(Polytope(BOX, h), before, c)
+        assert Fraction(alpha) <= exactly < Fraction(np.nextafter(alpha, np.inf))
+
+
+def test_a_terminal_sequence_loses_nothing_of_f_max_by_rounding():
+    """R_1(F) = F for x+ = x: every set of the sequence holds the corners of F, in fractions."""
+    F, C = Polytope.box([-0.9, -0.7], [0.8, 0.6]), np.random.default_rng(0).normal(size=(24, 2))
+    found = terminal_set(affine_loop(np.eye(2)), F, C, max_steps=3)
+    for R in found.history:
+        for a, b in zip(R.H.tolist(), R.h.tolist()):
+            ends = [
+                Fraction(a[0]) * Fraction(x) + Fraction(a[1]) * Fraction(y) for x in (-0.9, 0.8) for y in (-0.7, 0.6)
+            ]
+            assert max(ends) <= Fraction(b)
 
 
 # -- scaled_minimal_set -------------------------------------------------------------------------------
