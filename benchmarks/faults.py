@@ -10,6 +10,7 @@ test failed, and which. The tests are first run without any fault: those that fa
 import argparse
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -29,15 +30,15 @@ TESTS = {  # the pytest arguments that must catch the faults of a room
     "inputs": "tests/engines/test_inputs.py",
     "settle": "tests/test_settle.py",
     "invariance": "tests/test_invariance.py",
-    "units": "tests/test_units.py",
+    "units": "tests/test_units.py -k 'not safe_sets'",
     "system": "tests/test_system.py",
     "rational": "tests/test_rational.py",
     "polytope": "tests/test_polytope.py",
     "lp": "tests/test_lp.py",
-    "milp": "tests/engines/test_milp.py",
+    "milp": "tests/engines/test_milp.py -k 'boxes or one_step or exact or replayed'",
     "approximation": "tests/test_approximation.py",
-    "checker": "tests/test_checker.py",
-    "planar": "tests/test_planar.py",
+    "checker": "tests/test_checker.py -k 'brute_force or theorem_1 or error'",
+    "planar": "tests/test_planar.py -k 'sampled or adversary or theory or hair or slack'",
 }
 
 
@@ -399,7 +400,7 @@ def main():
         (folder / "data").symlink_to(ROOT / "data")
         for room in rooms:
             begin = perf_counter()
-            broken = failures(TESTS[room].split(), folder, folder / "compiled")
+            broken = failures(shlex.split(TESTS[room]), folder, folder / "compiled")
             report(room, "no fault", begin, f"FAILS: {', '.join(broken)}" if broken else "all tests pass")
             for fault in (fault for fault in FAULTS if fault.room == room):
                 begin = perf_counter()
@@ -425,7 +426,7 @@ def injected(fault, folder, broken):
     try:
         path.write_text(text.replace(fault.old, fault.new))
         deselected = [f"--deselect={test}" for test in broken]
-        return failures(["-x", *TESTS[fault.room].split(), *deselected], folder, compiled)
+        return failures(["-x", *shlex.split(TESTS[fault.room]), *deselected], folder, compiled)
     except subprocess.TimeoutExpired:
         return []
     finally:
