@@ -35,7 +35,7 @@ TESTS = {  # the pytest arguments that must catch the faults of a room
     "rational": "tests/test_rational.py",
     "polytope": "tests/test_polytope.py",
     "lp": "tests/test_lp.py",
-    "milp": "tests/engines/test_milp.py -k 'boxes or one_step or exact or replayed'",
+    "milp": "tests/engines/test_milp.py -k 'boxes or one_step'",
     "approximation": "tests/test_approximation.py",
     "checker": "tests/test_checker.py -k 'brute_force or theorem_1 or error'",
     "planar": "tests/test_planar.py -k 'sampled or adversary or theory or hair or slack'",
