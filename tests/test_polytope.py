@@ -190,6 +190,12 @@ def exactly(numbers):
     return [exactly(one) if np.ndim(one) else Fraction(one) for one in np.asarray(numbers, float).tolist()]
 
 
+def rounded_up(value):
+    """The smallest float that is not below a Fraction."""
+    near = float(value)
+    return near if Fraction(near) >= value else float(np.nextafter(near, np.inf))
+
+
 def fraction(value):
     return Fraction(int(value.p), int(value.q))
 
@@ -252,11 +258,11 @@ def test_every_decision_is_that_of_rational_elimination(make, n):
         reach = np.abs(V) @ np.maximum(np.abs(lower), np.abs(upper))
         for v, value, one, above, size in zip(V, right, support, bound, reach):
             assert fraction(P.exact_maximum(v).value) == value
-            assert Fraction(above) >= value > Fraction(np.nextafter(above, -np.inf))
+            assert value <= Fraction(above) <= value + Fraction(1e-10 * size)
             assert abs(one - float(value)) <= 1e-13 * size
-            assert P.is_subset(Polytope([v], [above]))
-            less = float(np.nextafter(above, -np.inf))
-            assert not P.is_subset(Polytope([v], [less]))
+            least = rounded_up(value)
+            assert P.is_subset(Polytope([v], [least]))
+            assert not P.is_subset(Polytope([v], [float(np.nextafter(least, -np.inf))]))
 
 
 @pytest.mark.parametrize("make", [flat, nearly_flat, far_away, ordinary])
@@ -276,9 +282,9 @@ def test_inclusion_sees_the_last_bit():
         P = Polytope(directions(8), 1 + rng.random(8))
         v = rng.normal(size=(1, 2))
         right = largest_over_vertices(exactly(P.H), exactly(P.h), exactly(v[0]))
-        above = P.bound(v)
-        assert Fraction(above[0]) >= right > Fraction(np.nextafter(above[0], -9))
-        assert P.is_subset(Polytope(v, above)) and not P.is_subset(Polytope(v, np.nextafter(above, -9)))
+        least = rounded_up(right)
+        assert P.bound(v)[0] >= least and P.bound(v)[0] <= least + 1e-13
+        assert P.is_subset(Polytope(v, [least])) and not P.is_subset(Polytope(v, [np.nextafter(least, -9)]))
 
 
 def test_unbounded_sets_have_bounds_where_they_are_bounded():

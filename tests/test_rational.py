@@ -6,33 +6,18 @@ from math import inf
 
 import numpy as np
 import pytest
+from loops import solve_exactly
 from scipy.optimize import linprog
 
 from mireach import rational
 from mireach.rational import above, below, binary, maximize, nearest, strict_point
 
 
-def solve(A, b):
-    """The solution of a square system in Fractions, or None if it is singular (Gauss)."""
-    rows = [[*map(Fraction, a), Fraction(right)] for a, right in zip(A, b)]
-    n = len(rows)
-    for i in range(n):
-        pivot = next((k for k in range(i, n) if rows[k][i]), None)
-        if pivot is None:
-            return None
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        rows[i] = [entry / rows[i][i] for entry in rows[i]]
-        for k in range(n):
-            if k != i:
-                rows[k] = [e - rows[k][i] * f for e, f in zip(rows[k], rows[i])]
-    return [row[-1] for row in rows]
-
-
 def largest(H, h, c):
     """max c x over the vertices of {x : H x <= h}, or None if there is no vertex."""
     best = None
     for chosen in combinations(range(len(h)), len(c)):
-        x = solve([H[i] for i in chosen], [h[i] for i in chosen])
+        x = solve_exactly([[*map(Fraction, H[i])] for i in chosen], [Fraction(h[i]) for i in chosen])
         if x is not None and all(sum(a * y for a, y in zip(row, x)) <= b for row, b in zip(H, h)):
             value = sum(a * y for a, y in zip(c, x))
             best = value if best is None else max(best, value)

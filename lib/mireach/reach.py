@@ -3,10 +3,11 @@
 import inspect
 import warnings
 from importlib import import_module
+from time import perf_counter
 
 import numpy as np
 
-from .checks import real_array, require_columns, require_kind, whole_number
+from .checks import positive_number, real_array, require_columns, require_kind, whole_number
 from .engines.common import Support, checked_query
 from .engines.inputs import require_inputs
 from .errors import SolverStopped
@@ -26,6 +27,8 @@ RESOLUTION = {
     "exact": 0.0,
     "cvxpy": 1e-5,
 }  # how far an engine's bound may lie above the truth, and tie with it (relative to the size of X)
+
+LEAST_TIME = 1e-3  # seconds that are left to an engine where the check of the inputs took all of its time
 
 
 def default_engine(loop):
@@ -74,8 +77,9 @@ def support(loop, F, V, steps=1, engine=None, **options):
         own = ", ".join(list(accepted)[4:]) or "none"
         raise ValueError(f"the engine {engine!r} has no option {', '.join(unknown)}; its options: {own}")
     V, steps = checked_query(loop, F, V, steps)
-    require_inputs(loop)
-    units = own_units(loop)
+    units, begin, time_limit = own_units(loop), perf_counter(), options.get("time_limit")
+    if time_limit is not None:
+        time_limit = positive_number(time_limit, "time_limit")
     rows, factor = units.rows(V)
     for name in ("known", "cutoff"):
         if options.get(name) is not None:
@@ -83,6 +87,9 @@ def support(loop, F, V, steps=1, engine=None, **options):
             options[name] = given.source if isinstance(given, Support) else np.asarray(given, float) * factor
     resolution = RESOLUTION[engine]
     try:
+        require_inputs(loop, time_limit)
+        if time_limit is not None:
+            options["time_limit"] = max(time_limit - (perf_counter() - begin), LEAST_TIME)
         return units.support(answer(units.loop, units.polytope(F), rows, steps, **options), factor, resolution)
     except SolverStopped as stop:
         raise units.stopped(stop, factor, resolution) from stop

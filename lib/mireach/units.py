@@ -71,8 +71,9 @@ class Units:
 
     def stopped(self, stop, factor, resolution):
         """A SolverStopped whose support is in the units of the user."""
-        found = None if stop.support is None else self.support(stop.support, factor, resolution)
-        return SolverStopped(str(stop), found)
+        k = len(factor)
+        found = stop.support or Support(np.full(k, -np.inf), np.full(k, np.inf), (None,) * k)
+        return SolverStopped(str(stop), self.support(found, factor, resolution))
 
 
 @lru_cache(maxsize=128)

@@ -15,12 +15,14 @@ from . import cells, exact, milp
 CLEAR = 1e-9  # an excess of floats above this is one (relative to the size of U); below, exact arithmetic decides
 
 
-def require_inputs(loop):
+def require_inputs(loop, time_limit=None):
     """Raise ValueError if Phi leaves U somewhere in X; the message gives a state.
 
     Parameters
     ----------
     loop : ClosedLoop
+    time_limit : float or None
+        Seconds for the MILP, which is asked for more than two states; SolverStopped after that.
 
     Notes
     -----
@@ -28,13 +30,13 @@ def require_inputs(loop):
     of the cells decide, with their rounding counted and without rounding where that leaves a doubt. For more states
     it is the MILP, to within 1e-7 of the size of U.
     """
-    x = violating_state(loop, loop.system.input_set)
+    x = violating_state(loop, loop.system.input_set, time_limit)
     if x is not None:
         u, U = loop.network(x), loop.system.input_set
         raise ValueError(input_message(max((U.H @ u - U.h).max(), 0), x, u))
 
 
-def violating_state(loop, U):
+def violating_state(loop, U, time_limit=None):
     """A state (n,) of X whose input lies outside the Polytope U, or None."""
     units = own_units(loop)
     own, U = units.loop, _inputs_in_units(units, U)
@@ -44,7 +46,7 @@ def violating_state(loop, U):
         regions = tuple(mode.region for mode in own.system.modes)
         state = _in_the_plane(own.network, regions, own.system.state_set, U)
     else:
-        state = _in_space(own, U)
+        state = _in_space(own, U, time_limit)
     return None if state is None else units.states(state)
 
 
@@ -68,7 +70,10 @@ def _in_the_plane(network, regions, X, U):
     return None
 
 
-_in_space = lru_cache(maxsize=128)(milp.violating_state)
+@lru_cache(maxsize=128)
+def _in_space(loop, U, time_limit):
+    """As `_in_the_plane`, for any number of states."""
+    return milp.violating_state(loop, U, time_limit=time_limit)
 
 
 @lru_cache(maxsize=128)
