@@ -133,6 +133,19 @@ def test_both_values_count_on_a_shared_boundary(F):
         assert_replays(loop, F, v, value, witness)
 
 
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_mode_counts_that_acts_on_a_line_or_a_point_only(n):
+    """x+ = 0 for x1 <= 0 and for x1 >= 0, and x1+ = 3/4 where the first n coordinates are 0 (and U is all of it)."""
+    rows, zero, column = np.eye(3)[:n], np.zeros((2, 2)), np.zeros((2, 1))
+    regions = Polytope([[1.0, 0, 0]], [0.0]), Polytope([[-1.0, 0, 0]], [0.0])
+    thin = Mode(zero, column, [0.75, 0], Polytope(np.vstack([rows, -rows]), np.zeros(2 * n)))
+    modes = [*(Mode(zero, column, [0, 0], region) for region in regions), thin]
+    system = PWASystem(modes, Polytope.box([-1, -1], [1, 1]), Polytope.box([-1], [1]))
+    loop = ClosedLoop(system, MaxoutNetwork((), np.zeros((1, 2)), [0.0]))
+    for F, reached in (([-1, -1], [1, 1]), 0.75), (([0, 0], [0.5, 0]), 0.75), (([0.1, -1], [1, 1]), 0.0):
+        assert 0 <= support(loop, Polytope.box(*F), [[1.0, 0]]).bound[0] - reached <= 1e-9
+
+
 def test_only_one_value_counts_off_the_boundary():
     loop = jump_loop([2.0, -1.0], [-3.0, 1.5])
     for x1, image in ((1 - 1e-6, [2, -1]), (1 + 1e-6, [-3, 1.5])):
