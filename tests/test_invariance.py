@@ -154,6 +154,19 @@ def test_safe_set_by_hand(engine):
     assert safe.history[-1] is safe.set and "R1(F1) lies in X" in safe.reason
 
 
+def test_a_safe_set_is_bounded_by_bounds_whatever_is_attained(monkeypatch):
+    """As above: F_1 is |x1| <= 1, |x2| <= 1/2, though the values that are said to be attained are 0.1 too low."""
+
+    def support(*args, **options):
+        found = mr.support(*args, **options)
+        return replace(found, value=found.value - 0.1)
+
+    monkeypatch.setattr("mireach.settle.support", support)
+    safe = safe_set(affine_loop([[0.5, 0.9], [0, 0.5]]), BOX)
+    assert safe.verdict == "proven" and len(safe.history) == 2
+    assert (safe.set.h >= [1, 0.5, 1, 0.5]).all() and (safe.set.h <= np.array([1, 0.5, 1, 0.5]) + 1e-9).all()
+
+
 @pytest.mark.parametrize(("n", "a"), [(1, 0.5), (2, -0.7), (3, 0.5)])
 def test_contraction_makes_all_of_the_state_set_safe(n, a):
     loop = contraction(a, 0.2, np.zeros(n), n=n)
