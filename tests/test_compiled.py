@@ -1,13 +1,15 @@
 """The compiled loops against brute force over all pairs of rows, and against scipy's linear programs."""
 
+from fractions import Fraction
 from itertools import combinations
 
 import numpy as np
 import pytest
+from loops import solve_exactly
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from mireach.compiled import around, highest, parts, polygon, sharp_pairs
+from mireach.compiled import FAT, _doubt, around, dual_bounds, highest, parts, polygon, sharp_pairs
 from mireach.polygons import Polygons
 
 PARALLEL, TOL = 1e-12, 1e-11
@@ -199,3 +201,37 @@ def test_many_rows_through_one_vertex_give_it_once(seed):
     centre, angles = 10 * rng.normal(size=2), np.sort(rng.uniform(0.2, 1.3, 6))
     H = np.vstack([np.column_stack([np.cos(angles), np.sin(angles)]), [[-1, 0], [0, -1]]])
     assert len(vertices(H, H @ centre + np.array([0] * 6 + [1, 1]))) in (3, 4)
+
+
+# -- what a piece may be off by -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_doubt_of_a_piece_covers_all_states_in_the_slits_around_it(seed):
+    """The largest of three channels against the first one, in fractions, at points that far beyond the edges."""
+    rng, slits = np.random.default_rng(seed), 2.0**-4
+    polygon, channels = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), rng.integers(-8, 9, (3, 3)) / 4.0
+    error = np.array([0.0, 1 / 128, 0])
+    doubt = _doubt(polygon, 4, channels, error, 0, 3, 0, slits)
+    for corner in polygon:
+        for beyond in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            x = [Fraction(c) + Fraction(slits) * d for c, d in zip(corner.tolist(), beyond)]
+            z = [sum(Fraction(a) * b for a, b in zip(row, [*x, 1])) + Fraction(e) for row, e in zip(channels, error)]
+            assert max(z) - z[0] <= Fraction(doubt)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_dual_bounds_are_not_below_the_exact_maximum(seed):
+    """The corners are those meetings of two rows that satisfy all rows, in fractions."""
+    rng = np.random.default_rng(seed)
+    H, V = random_rows(rng, 6), rng.normal(size=(8, 2))
+    H = np.vstack([H, np.eye(2), -np.eye(2)])
+    h = rng.uniform(0.1, 2, len(H))
+    kind, _, *found = vertices(H, h)
+    assert kind == FAT
+    rows = [([Fraction(a), Fraction(b)], Fraction(c)) for (a, b), c in zip(H.tolist(), h.tolist())]
+    meetings = [solve_exactly([a, b], [p, q]) for (a, p), (b, q) in combinations(rows, 2)]
+    corners = [x for x in meetings if x and all(a[0] * x[0] + a[1] * x[1] <= b for a, b in rows)]
+    for (p, q), bound in zip(V.tolist(), dual_bounds(readonly(V), *found)):
+        highest_corner = max(Fraction(p) * x[0] + Fraction(q) * x[1] for x in corners)
+        assert highest_corner <= Fraction(bound) <= highest_corner + Fraction(1, 10**9)

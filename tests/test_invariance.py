@@ -1,6 +1,7 @@
 """Invariant sets: hand answers for linear loops, and random loops whose trajectories must not leave what is proven."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -151,6 +152,19 @@ def test_safe_set_by_hand(engine):
     assert (safe.verdict, safe.iterations, len(safe.history)) == ("proven", 1, 2)
     np.testing.assert_allclose(safe.set.support(BOX), [1, 0.5, 1, 0.5], atol=1e-6)
     assert safe.history[-1] is safe.set and "R1(F1) lies in X" in safe.reason
+
+
+def test_a_safe_set_is_bounded_by_bounds_whatever_is_attained(monkeypatch):
+    """As above: F_1 is |x1| <= 1, |x2| <= 1/2, though the values that are said to be attained are 0.1 too low."""
+
+    def support(*args, **options):
+        found = mr.support(*args, **options)
+        return replace(found, value=found.value - 0.1)
+
+    monkeypatch.setattr("mireach.settle.support", support)
+    safe = safe_set(affine_loop([[0.5, 0.9], [0, 0.5]]), BOX)
+    assert safe.verdict == "proven" and len(safe.history) == 2
+    assert (safe.set.h >= [1, 0.5, 1, 0.5]).all() and (safe.set.h <= np.array([1, 0.5, 1, 0.5]) + 1e-9).all()
 
 
 @pytest.mark.parametrize(("n", "a"), [(1, 0.5), (2, -0.7), (3, 0.5)])
@@ -317,6 +331,28 @@ def test_alpha_is_the_largest_factor_that_keeps_the_set_inside_the_one_before():
     assert not grown.contains(corners + 1.001 * found.delta_max * directions(8)).all()
 
 
+def test_alpha_is_rounded_down():
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        h, before, c = rng.uniform(0.5, 2, 4), rng.uniform(0.5, 2, 4), rng.uniform(-0.4, 0.4, 2)
+        middle = [Fraction(s * e) for s, e in zip((1, 1, -1, -1), (*c.tolist(), *c.tolist()))]
+        rooms = [(Fraction(b) - m, Fraction(o) - m) for b, o, m in zip(before.tolist(), h.tolist(), middle)]
+        exactly, alpha = min(room / size for room, size in rooms), _growth(Polytope(BOX, h), before, c)
+        assert Fraction(alpha) <= exactly < Fraction(np.nextafter(alpha, np.inf))
+
+
+def test_a_terminal_sequence_loses_nothing_of_f_max_by_rounding():
+    """R_1(F) = F for x+ = x: every set of the sequence holds the corners of F, in fractions."""
+    F, C = Polytope.box([-0.9, -0.7], [0.8, 0.6]), np.random.default_rng(0).normal(size=(24, 2))
+    found = terminal_set(affine_loop(np.eye(2)), F, C, max_steps=3)
+    for R in found.history:
+        for a, b in zip(R.H.tolist(), R.h.tolist()):
+            ends = [
+                Fraction(a[0]) * Fraction(x) + Fraction(a[1]) * Fraction(y) for x in (-0.9, 0.8) for y in (-0.7, 0.6)
+            ]
+            assert max(ends) <= Fraction(b)
+
+
 # -- scaled_minimal_set -------------------------------------------------------------------------------
 
 
@@ -374,6 +410,50 @@ def test_ultimate_bound_needs_a_plant_that_may_be_in_all_of_the_safe_set():
     )
     safe = safe_set(loop)
     assert ultimately_bounded(plant, loop, safe, terminal_set(loop, safe)).verdict == "unknown"
+
+
+# -- what a proof of Theorem 2 may rest on --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("limits", "verdict"),
+    [
+        ((0.75, 0.5, 0.375), "proven"),
+        ((0.625,), "proven"),
+        ((0.5,), "unknown"),  # R_1(F_max) is the box of 0.6
+        ((0.75, 0.375), "unknown"),  # 0.75 goes to 0.475
+        ((0.625, 0.8), "unknown"),  # the images fit, but the sets are not nested
+        ((0.625, 0.63, 0.5), "unknown"),
+    ],
+)
+def test_theorem_2_needs_nested_sets_that_hold_the_image_of_the_one_before(limits, verdict):
+    """x+ = x / 2 + d with |d| <= 0.1 takes the box of half-width r to that of r / 2 + 0.1; F_max is X, of 1."""
+    loop = contraction()
+    plant = NonlinearSystem(lambda x, u: (0.5 * x[0], 0.5 * x[1]), loop.system.state_set, loop.system.input_set)
+    safe = safe_set(loop, BOX)
+    history = [safe.set, *(Polytope(BOX, np.full(4, r)) for r in limits)]
+    terminal = replace(terminal_set(loop, safe, BOX), set=history[-1], steps=len(limits), history=history)
+    found = ultimately_bounded(plant, loop, safe, terminal)
+    assert found.verdict == verdict
+    assert [text for text, holds in found.conditions.items() if not holds] == (
+        [] if verdict == "proven" else ["the terminal set is reached from F_max"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("bound", "invariant", "reached"), [(0.35, True, True), (0.75, True, False), (1.5, False, False)]
+)
+def test_theorem_2_rests_on_bounds_and_not_on_attained_values(monkeypatch, bound, invariant, reached):
+    loop = contraction(n=3, p=np.zeros(3))
+    plant = NonlinearSystem(lambda x, u: [0.5 * x[i] for i in range(3)], loop.system.state_set, loop.system.input_set)
+    safe = safe_set(loop)
+    half = Polytope.box([-0.5] * 3, [0.5] * 3)
+    terminal = replace(terminal_set(loop, safe), set=half, history=[safe.set, half])
+    answering(monkeypatch, bound, 0.0)
+    found = ultimately_bounded(plant, loop, safe, terminal)
+    assert found.conditions["F_max is RPI"] == invariant
+    assert found.conditions["the terminal set is reached from F_max"] == reached
+    assert (found.verdict == "proven") == reached
 
 
 # -- bad input ----------------------------------------------------------------------------------------

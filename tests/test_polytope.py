@@ -3,6 +3,7 @@
 import json
 import pickle
 from fractions import Fraction
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -285,6 +286,16 @@ def test_inclusion_sees_the_last_bit():
         least = rounded_up(right)
         assert P.bound(v)[0] >= least and P.bound(v)[0] <= least + 1e-13
         assert P.is_subset(Polytope(v, [least])) and not P.is_subset(Polytope(v, [np.nextafter(least, -9)]))
+
+
+def test_of_rows_of_one_direction_the_smallest_offset_counts_in_any_order():
+    """x1 <= 1, 2 x1 <= 1 and x1 / 2 <= 2 are one row of three lengths; the second is the one that holds."""
+    rows = [([1.0, 0], 1.0), ([2.0, 0], 1.0), ([0.5, 0], 2.0)]
+    for order in permutations(rows):
+        P = Polytope([*(a for a, _ in order), [-1.0, 0], [0, 1], [0, -1]], [*(b for _, b in order), 1.0, 1, 1])
+        V = np.array([[1.0, 0], [4, 0], [0.25, 0], [-2, 0], [1, 1]])
+        assert P.offsets(V).tolist() == [0.5, 2, 0.125, 2, np.inf]
+        assert P.bound(V[:4]).tolist() == [0.5, 2, 0.125, 2]
 
 
 def test_unbounded_sets_have_bounds_where_they_are_bounded():

@@ -93,5 +93,11 @@ def test_roundings_go_the_way_they_say():
     assert above(huge) == inf and below(huge) == np.finfo(float).max and above(-huge) == -below(huge)
 
 
+def test_a_float_is_rounded_to_itself():
+    largest = np.finfo(float).max
+    for value in (0.0, 1.0, -0.1, 1 / 3, 2.0**-1074, -(2.0**-1022), largest, -largest):
+        assert above(binary(value)) == below(binary(value)) == nearest(binary(value)) == value
+
+
 def test_a_float_is_the_fraction_that_it_is():
     assert rational.fractions(binary([0.1]))[0] == Fraction(0.1) != Fraction(1, 10)

@@ -6,6 +6,7 @@ from loops import affine_loop, in_other_units, random_loop, set_in_other_units
 
 import mireach as mr
 from mireach import Polytope, box_directions, directions
+from mireach.scaling import normal_rows, power_of_two
 from mireach.units import own_units
 
 RANGES = [(-60, -60), (60, 60), (-60, 60), (-8, 8)]
@@ -39,6 +40,7 @@ def test_supports_are_the_same_to_the_last_bit(n, engine, exponents):
         for here, there in zip(one.witness, two.witness):
             np.testing.assert_array_equal(here.states * s, there.states)
             np.testing.assert_array_equal(here.inputs * t, there.inputs)
+            np.testing.assert_array_equal(here.disturbances * s, there.disturbances)
 
 
 @pytest.mark.parametrize("exponents", RANGES)
@@ -90,6 +92,16 @@ def test_a_loop_in_its_own_units_reaches_to_between_one_half_and_one():
         assert (size <= 1).all() and (size > 0.5).all()
     x = own.system.state_set.sample(np.random.default_rng(0), 50)
     np.testing.assert_array_equal(own.network(x) * own_units(loop).inputs, loop.network(x * own_units(loop).state))
+
+
+def test_powers_of_two_are_the_smallest_that_are_not_below():
+    for power in (-1021, -52, -1, 0, 1, 60, 1022):
+        for value in (2.0**power, -(2.0**power), np.nextafter(2.0**power, 0), np.nextafter(2.0**power, np.inf)):
+            found = power_of_two(value)
+            assert found / 2 < abs(value) <= found and np.frexp(found)[0] == 0.5
+    assert power_of_two(0.0) == 1
+    rows, factor = normal_rows(np.array([[4.0, -1.0], [0.75, 0.0], [0.0, 0.0]]))
+    assert rows.tolist() == [[1, -0.25], [0.75, 0], [0, 0]] and factor.tolist() == [0.25, 1, 1]
 
 
 def test_numbers_that_no_units_hold_are_refused():

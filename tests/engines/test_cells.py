@@ -133,6 +133,19 @@ def test_both_values_count_on_a_shared_boundary(F):
         assert_replays(loop, F, v, value, witness)
 
 
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_mode_counts_that_acts_on_a_line_or_a_point_only(n):
+    """x+ = 0 for x1 <= 0 and for x1 >= 0, and x1+ = 3/4 where the first n coordinates are 0 (and U is all of it)."""
+    rows, zero, column = np.eye(3)[:n], np.zeros((2, 2)), np.zeros((2, 1))
+    regions = Polytope([[1.0, 0, 0]], [0.0]), Polytope([[-1.0, 0, 0]], [0.0])
+    thin = Mode(zero, column, [0.75, 0], Polytope(np.vstack([rows, -rows]), np.zeros(2 * n)))
+    modes = [*(Mode(zero, column, [0, 0], region) for region in regions), thin]
+    system = PWASystem(modes, Polytope.box([-1, -1], [1, 1]), Polytope.box([-1], [1]))
+    loop = ClosedLoop(system, MaxoutNetwork((), np.zeros((1, 2)), [0.0]))
+    for F, reached in (([-1, -1], [1, 1]), 0.75), (([0, 0], [0.5, 0]), 0.75), (([0.1, -1], [1, 1]), 0.0):
+        assert 0 <= support(loop, Polytope.box(*F), [[1.0, 0]]).bound[0] - reached <= 1e-9
+
+
 def test_only_one_value_counts_off_the_boundary():
     loop = jump_loop([2.0, -1.0], [-3.0, 1.5])
     for x1, image in ((1 - 1e-6, [2, -1]), (1 + 1e-6, [-3, 1.5])):
@@ -280,6 +293,43 @@ def test_bound_scales_with_the_length_of_a_direction(length):
     np.testing.assert_allclose(scaled.value / length, plain.value, rtol=1e-12)
     assert (scaled.bound - scaled.value >= 1e-13 * np.maximum(length, 1)).all()
     assert (scaled.bound - scaled.value <= 1e-9 * np.maximum(length, 1)).all()
+
+
+def cancelling(rng, size):
+    """Phi(x) = k x1 by two linear layers whose products nearly cancel: floats know k to within about 1e-16 size^2."""
+    a, c = rng.normal(size=2) * size
+    hidden = Layer([[a, 0], [a * (1 + 2**-32), 0]], [0, 0], 1)
+    return MaxoutNetwork((hidden,), [[c, -c * (1 - 2**-32)]], [0.0])
+
+
+@pytest.mark.parametrize("size", [1e3, 1e5])
+def test_bound_counts_the_error_of_the_network(size):
+    """x1+ = Phi(x) on |x1| <= 1 reaches |Phi(1, 0)| both ways; the attained values often fall short of it."""
+    X, U = Polytope.box([-1, -1], [1, 1]), Polytope.box([-10], [10])
+    mode, short = Mode(np.zeros((2, 2)), [[1.0], [0]], [0, 0], Polytope([[0.0, 0, 0]], [1.0])), 0
+    for seed in range(12):
+        net = cancelling(np.random.default_rng(seed), size)
+        truth = abs(exact_input(net, [1, 0])[0])
+        found = support(ClosedLoop(PWASystem([mode], X, U), net), X, [[1.0, 0], [-1.0, 0]])
+        assert all(Fraction(bound) >= truth for bound in found.bound)
+        short += any(Fraction(value) < truth for value in found.value)
+    assert short > 2
+
+
+def test_a_mode_counts_where_only_rounding_moves_its_row_of_u():
+    """Phi(x) <= h holds at the state without a margin, and the float K x + g may be above h by 1e-6."""
+    X, U, above = Polytope.box([-1, -1], [1, 1]), Polytope.box([-10], [10]), 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        net, x = cancelling(rng, 1e5), rng.uniform(0.2, 0.9)
+        u = exact_input(net, [x, 0])[0]
+        h = float(u) if Fraction(float(u)) >= u else np.nextafter(float(u), np.inf)
+        regions = Polytope([[0.0, 0, 1]], [h]), Polytope([[0.0, 0, -1]], [-h])
+        modes = [Mode(np.zeros((2, 2)), [[0], [0]], [p, 0], region) for p, region in zip((0.5, 0.0), regions)]
+        loop = ClosedLoop(PWASystem(modes, X, U), net)
+        assert support(loop, Polytope.box([x, 0], [x, 0]), [[1.0, 0]]).bound[0] >= 0.5
+        above += net([x, 0])[0] > h + 1e-9
+    assert above > 2
 
 
 @pytest.mark.parametrize("size", [1e2, 1e4, 1e6])

@@ -188,3 +188,29 @@ def test_a_flat_cell_is_cut_by_rows_of_u():
     loop = mr.ClosedLoop(system, net)
     assert mr.prove_rpi(loop, square(1)).verdict == "proven"
     assert mr.prove_rpi(loop, square(1.75)).verdict == "refuted"
+
+
+@pytest.mark.parametrize("corner", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_every_corner_of_a_disturbance_set_leads_out_by_itself(corner):
+    """x+ = d reaches the square of half-width 1/2; the row corner x <= limit cuts one corner of it off, or none."""
+    loop = affine_loop(np.zeros((2, 2)), square(0.5))
+    for limit, inside in ((1.0, True), (np.nextafter(1.0, 0), False), (0.75, False)):
+        F = square(1) & mr.Polytope([corner], [limit])
+        escape = exact.first_escape(loop, [F.vertices()])
+        assert (escape is None) == inside
+        assert inside or sum(s * y for s, y in zip(corner, escape.after)) > Fraction(limit)
+        bound = mr.support(loop, F, [corner], engine="exact").bound[0]
+        assert bound == 1
+
+
+@pytest.mark.parametrize("rows", [(1, 1, -1), (1, -1, 1), (-1, 1, 1), (1, 1, 1), (1, -1, -1)])
+def test_of_channels_that_tie_on_all_of_a_piece_one_has_it(rows):
+    """Phi(x) = max(r x1 for r in rows), x1+ = Phi(x): the cells cover X once, and every side of x1 = 0 counts."""
+    net = mr.MaxoutNetwork([mr.Layer([[r, 0.0] for r in rows], np.zeros(3), 3)], [[1.0]], [0.0])
+    mode = mr.Mode(np.zeros((2, 2)), [[1.0], [0.0]], [0, 0], mr.Polytope([[0.0, 0, 0]], [1.0]))
+    loop = mr.ClosedLoop(mr.PWASystem([mode], square(1), mr.Polytope.box([-1], [1])), net)
+    assert len(exact.cells(loop)) == len(set(rows))
+    for low, high in ((-1.0, -0.25), (0.25, 1.0), (-1.0, 1.0)):
+        ends = [max(r * x for r in rows) for x in (low, high, min(max(low, 0), high))]
+        found = mr.support(loop, mr.Polytope.box([low, 0], [high, 0.5]), [[1.0, 0], [-1.0, 0]], engine="exact")
+        assert found.bound.tolist() == [max(ends), -min(ends)]

@@ -1,5 +1,7 @@
 """Phi has to lie in U on all of X: one check for all engines, and no state without an input is lost before it."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from loops import affine_loop, exact_input, in_other_units, narrow_spike, random_network
@@ -92,3 +94,18 @@ def test_saturated_networks_touch_u_and_are_let_through_by_every_engine():
     loop = mr.ClosedLoop(mr.PWASystem(loop.system.modes, loop.system.state_set, Polytope.box([-0.1], [0.3])), net)
     for engine in ENGINES:
         assert (mr.support(loop, loop.system.state_set, np.eye(2), engine=engine).bound < 1).all()
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_an_excess_by_one_rounding_is_found_in_every_row_of_u(row):
+    """Phi is the constant w b along one axis, and U ends at the float nearest to it, on one side or the other."""
+    side, axis, seen = 1 if row < 2 else -1, row % 2, set()
+    for w, b in np.random.default_rng(row).uniform(0.1, 1, (10, 2)):
+        weight, limits = np.zeros((2, 1)), np.full(4, 2.0)
+        weight[axis], limits[row] = side * w, w * b
+        net = mr.MaxoutNetwork((mr.Layer(np.zeros((2, 2)), [b, 0], 2),), weight, np.zeros(2))
+        violates = Fraction(w) * Fraction(b) > Fraction(w * b)
+        U = Polytope(np.vstack([np.eye(2), -np.eye(2)]), limits)
+        assert (violating_state(loop_with(net), U) is not None) == violates
+        seen.add(violates)
+    assert seen == {True, False}

@@ -1,0 +1,459 @@
+"""Faults injected by hand, one at a time, each of which the tests of its room must catch.
+
+    python benchmarks/faults.py [ROOM ...]
+
+A fault is one replacement in a copy of lib/. The tests run against that copy, and one line per fault says whether a
+test failed, and which. The tests are first run without any fault: those that fail then catch none. The exit status is
+1 if a fault is not caught.
+"""
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+ROOT = Path(__file__).resolve().parents[1]
+SECONDS = 600  # for the tests of one fault
+FAILED = re.compile(r"^FAILED (.+?)(?: - .*)?$", re.MULTILINE)
+TESTS = {  # the pytest arguments that must catch the faults of a room
+    "cells": "tests/engines/test_cells.py -k 'both_values or network or only_rounding or error_of or acts or line'",
+    "compiled": "tests/test_compiled.py tests/engines/test_cells.py -k 'compiled or both_values or ties or point'",
+    "exact": "tests/engines/test_exact.py",
+    "steps": "tests/engines/test_steps.py",
+    "inputs": "tests/engines/test_inputs.py",
+    "settle": "tests/test_settle.py",
+    "invariance": "tests/test_invariance.py",
+    "units": "tests/test_units.py -k 'not safe_sets'",
+    "system": "tests/test_system.py",
+    "rational": "tests/test_rational.py",
+    "polytope": "tests/test_polytope.py",
+    "lp": "tests/test_lp.py",
+    "milp": "tests/engines/test_milp.py tests/engines/test_bounds.py -k 'boxes or cutoff'",
+    "approximation": "tests/test_approximation.py",
+    "checker": "tests/test_checker.py -k 'brute_force or theorem_1 or error'",
+    "planar": "tests/test_planar.py -k 'slack or hair'",
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One replacement in a file of lib/mireach; `old` occurs in it exactly once."""
+
+    room: str
+    file: str
+    name: str
+    old: str
+    new: str
+
+
+FAULTS = (
+    # -- the plane in floats
+    Fault(
+        "cells",
+        "engines/cells.py",
+        "the bound is the attained value, without its error",
+        "np.ceil(top / rows.unit + 0.05) * rows.unit, witness",
+        "np.ceil(value / rows.unit) * rows.unit, witness",
+    ),
+    Fault(
+        "cells",
+        "engines/cells.py",
+        "the error of u is not used for rows of u",
+        'slack = np.einsum("nm,nm->n", np.abs(H[:, 2:]), found.error) + 4 * CORNER * rounding',
+        "slack = 4 * CORNER * rounding",
+    ),
+    Fault(
+        "cells",
+        "engines/cells.py",
+        "modes that are only an edge or a point are dropped",
+        "modes = np.flatnonzero([len(corners) for corners in found])",
+        "modes = np.flatnonzero([len(corners) > 2 for corners in found])",
+    ),
+    Fault(
+        "compiled",
+        "compiled.py",
+        "_doubt leaves out the slits between pieces",
+        "most = max(most, error[base + c] + ahead + (abs(a0) + abs(a1)) * slits)",
+        "most = max(most, error[base + c] + ahead)",
+    ),
+    Fault(
+        "compiled",
+        "compiled.py",
+        "sets that touch to within rounding do not touch",
+        "            if excess[t] <= touch:",
+        "            if excess[t] <= slack:",
+    ),
+    Fault(
+        "compiled",
+        "compiled.py",
+        "_cut loses new corners above or beside an old one",
+        "if polygon[end, 0] != x or polygon[end, 1] != y:",
+        "if polygon[end, 0] != x and polygon[end, 1] != y:",
+    ),
+    Fault(
+        "compiled",
+        "compiled.py",
+        "dual_bounds does not count its rounding",
+        "            value = value + (rest0 + rest1) * extent * (1 + ROUNDING)\n"
+        "            bound[k] = math.ldexp(value + ROUNDING * abs(value) + LEAST, most)",
+        "            bound[k] = math.ldexp(value * (1 - ROUNDING), most)",
+    ),
+    # -- the plane in rational arithmetic, and single steps
+    Fault(
+        "exact",
+        "engines/exact.py",
+        "_clip drops corners on the line",
+        "        if value <= 0:\n            kept.append(x)",
+        "        if value < 0:\n            kept.append(x)",
+    ),
+    Fault(
+        "exact",
+        "engines/exact.py",
+        "first_escape skips the fourth corner of D",
+        "for d in spread[cell.mode]}",
+        "for d in spread[cell.mode][:3]}",
+    ),
+    Fault(
+        "exact",
+        "engines/exact.py",
+        "farthest_steps skips the first corner of D",
+        "farthest = [max(corners, key=lambda d: dot(v, d)) for corners in spread]",
+        "farthest = [max(corners[-3:], key=lambda d: dot(v, d)) for corners in spread]",
+    ),
+    Fault(
+        "exact",
+        "engines/exact.py",
+        "of two channels that tie everywhere none has the piece",
+        "if i < j and all(",
+        "if i != j and all(",
+    ),
+    Fault(
+        "steps",
+        "engines/steps.py",
+        "_piece leaves out the rows of the region",
+        "rows.append((tuple(own + part for own, part in zip(a[:n], of_u)), b - of_u[n]))",
+        "continue",
+    ),
+    Fault(
+        "steps",
+        "engines/steps.py",
+        "the winner is not compared with the channels before it",
+        "                    if i != j:",
+        "                    if i > j:",
+    ),
+    Fault(
+        "steps",
+        "engines/steps.py",
+        "the disturbance is the corner of D on the other side",
+        "pushed = maximize(binary(D.H), binary(D.h), binary(v))",
+        "pushed = maximize(binary(D.H), binary(D.h), binary(-np.asarray(v)))",
+    ),
+    Fault(
+        "steps",
+        "engines/steps.py",
+        "attained does not ask whether the disturbance lies in D",
+        "loop.system.state_set.contains(x) and mode.disturbance.contains(d)):",
+        "loop.system.state_set.contains(x)):",
+    ),
+    # -- verdicts
+    Fault(
+        "inputs",
+        "engines/inputs.py",
+        "interval arithmetic does not count its rounding",
+        "rounding = np.where(simple, 0.0, 2.0**-52 * (terms + 2) * size)",
+        "rounding = 0.0 * np.where(simple, 0.0, size)",
+    ),
+    Fault(
+        "inputs",
+        "engines/inputs.py",
+        "exact arithmetic looks at the first row of U alone",
+        "in zip(found, binary(U.h)):",
+        "in zip(found[:1], binary(U.h)):",
+    ),
+    Fault(
+        "settle",
+        "settle.py",
+        "rows hold by the attained value",
+        "holds = ~asked | (bound <= limit + (0.0 if tol is None else tol))",
+        "holds = ~asked | (found.value <= limit + (0.0 if tol is None else tol))",
+    ),
+    Fault(
+        "settle",
+        "settle.py",
+        "the word of a solver is taken in the plane",
+        "holds = ~asked  # a solver's word",
+        "holds = holds  # a solver's word",
+    ),
+    Fault(
+        "settle",
+        "settle.py",
+        "ten times the resolution is allowed",
+        "holds = ~asked | (bound <= limit + found.resolution)",
+        "holds = ~asked | (bound <= limit + 10 * found.resolution)",
+    ),
+    Fault(
+        "invariance",
+        "invariance.py",
+        "safe_set takes attained values for the next set",
+        "image, smaller = found.found, np.minimum(found.bound, h)",
+        "image, smaller = found.found, np.minimum(found.found.value, h)",
+    ),
+    Fault(
+        "invariance",
+        "invariance.py",
+        "terminal_set starts from the rounded support of F_max",
+        "history, alphas, image, h, after = [F], [], found.found, F.bound(V), found.bound",
+        "history, alphas, image, h, after = [F], [], found.found, F.support(V), found.bound",
+    ),
+    Fault(
+        "invariance",
+        "invariance.py",
+        "terminal_set reports one step too few",
+        "    k = len(alphas)\n",
+        "    k = len(alphas) - 1\n",
+    ),
+    Fault(
+        "invariance", "invariance.py", "alpha is rounded up", "return below(min(shares))", "return above(min(shares))"
+    ),
+    Fault(
+        "invariance",
+        "invariance.py",
+        "ultimately_bounded takes F_max for RPI by attained values",
+        "bool(steps) and steps[0].holds.all()",
+        "bool(steps) and (steps[0].found.value <= steps[0].limit).all()",
+    ),
+    Fault(
+        "invariance",
+        "invariance.py",
+        "ultimately_bounded follows the sequence by attained values",
+        "and all(step.holds.all() for step in steps)",
+        "and all((step.found.value <= step.limit).all() for step in steps)",
+    ),
+    Fault(
+        "invariance",
+        "invariance.py",
+        "ultimately_bounded takes sets that are not nested",
+        "\n        and all(after.is_subset(before) for before, after in pairwise(sets))",
+        "",
+    ),
+    # -- units
+    Fault("units", "units.py", "p keeps the units of the user", "p=times(mode.p, 1 / s)", "p=mode.p"),
+    Fault("units", "units.py", "D keeps the units of the user", "{D: D.in_units(s) for", "{D: D for"),
+    Fault(
+        "units",
+        "units.py",
+        "the inputs of a witness keep the units of the loop",
+        "Witness(states, found.inputs * self.inputs,",
+        "Witness(states, found.inputs,",
+    ),
+    Fault(
+        "units",
+        "units.py",
+        "the disturbances of a witness keep the units of the loop",
+        "found.disturbances * self.state",
+        "found.disturbances",
+    ),
+    Fault(
+        "units",
+        "scaling.py",
+        "power_of_two doubles what is a power of two",
+        "exponent - (np.abs(mantissa) == 0.5)",
+        "exponent",
+    ),
+    # -- systems and sets
+    Fault(
+        "system",
+        "system.py",
+        "beyond a row means on it as well",
+        "-b, strict=True)",
+        "-b, strict=False)",
+    ),
+    Fault(
+        "system",
+        "system.py",
+        "a gap is looked for along x alone",
+        "gap = _Rows().cut(domain, scaled)",
+        "gap = _Rows().cut(domain, [Polytope(P.H * (np.arange(P.dimension) < n), P.h) for P in scaled])",
+    ),
+    Fault("rational", "rational.py", "below rounds up", "return -above(-value)", "return above(value)"),
+    Fault(
+        "rational",
+        "rational.py",
+        "above leaves a number that is a float",
+        "binary(near) >= value)",
+        "binary(near) > value)",
+    ),
+    Fault(
+        "rational",
+        "rational.py",
+        "what phase 1 leaves over is ignored",
+        "if any(row[-1] for row, j in zip(self.rows, self.basis) if j >= self.l):",
+        "if False:",
+    ),
+    Fault(
+        "polytope",
+        "polytope.py",
+        "bound is the nearest float, for certain vertices",
+        "return np.minimum(bound, self.offsets(V))",
+        "return np.minimum(self.support(V), self.offsets(V))",
+    ),
+    Fault(
+        "polytope",
+        "polytope.py",
+        "bound is the nearest float, for exact optima",
+        "return np.array([_float(self.exact_maximum(v).value, above) for v in V])",
+        "return np.array([_float(self.exact_maximum(v).value, nearest) for v in V])",
+    ),
+    Fault(
+        "polytope",
+        "polytope.py",
+        "of a row that stands there twice the last offset counts",
+        "own[row.tobytes()] = min(offset, own.get(row.tobytes(), np.inf))",
+        "own[row.tobytes()] = offset",
+    ),
+    # -- linear programs and the MILP
+    Fault(
+        "lp",
+        "lp.py",
+        "a ray is believed without its bound",
+        "if known and rows.bound(np.zeros(len(c)), -np.array(ray), lower, upper) < 0:\n"
+        "                        return Optimum(-np.inf, None)",
+        "if known:\n                        return Optimum(-np.inf, None)",
+    ),
+    Fault(
+        "lp",
+        "lp.py",
+        "weak duality does not count its rounding",
+        "total = float(rows.sum() + columns.sum() + rounding)",
+        "total = float(rows.sum() + columns.sum())",
+    ),
+    Fault(
+        "milp",
+        "engines/milp.py",
+        "the bounds of boxes that are skipped are forgotten",
+        "answer.bound = max(answer.bound, upper[index])\n                break\n            if perf_counter()",
+        "break\n            if perf_counter()",
+    ),
+    Fault(
+        "milp",
+        "engines/milp.py",
+        "the bounds of boxes that simulation settles are forgotten",
+        "settled = np.maximum(settled, np.where(still, -np.inf, upper).max(axis=0, initial=-np.inf))",
+        "settled = np.maximum(settled, -np.inf)",
+    ),
+    # -- the plant, the checker, sets in the plane
+    Fault(
+        "approximation",
+        "approximation.py",
+        "_shift rounds to the nearest float",
+        "upper_float(ball(offset) - sum(ball(c) * s for c, s in zip(v, step)))",
+        "float(offset - sum(float(c) * (b - a) for c, a, b in zip(v, before, after)))",
+    ),
+    Fault(
+        "checker",
+        "checker.py",
+        "a loop is stable for alpha = 1",
+        "stable = alpha is not None and alpha > 1",
+        "stable = alpha is not None and alpha >= 1",
+    ),
+    Fault(
+        "checker",
+        "checker.py",
+        "an error up to 1e-9 outside D is accepted",
+        "        if bound <= 0:\n            continue",
+        "        if bound <= Fraction(1, 10**9):\n            continue",
+    ),
+    Fault(
+        "planar",
+        "planar.py",
+        "the slack widens X instead of narrowing it",
+        "limits = X.h - D.support(X.H) - slack * np.abs(X.H).sum(axis=1)",
+        "limits = X.h - D.support(X.H) + slack * np.abs(X.H).sum(axis=1)",
+    ),
+    Fault(
+        "planar",
+        "planar.py",
+        "the slack narrows what is lost",
+        "b += slack * np.abs(A).sum(axis=2)",
+        "b -= slack * np.abs(A).sum(axis=2)",
+    ),
+)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("rooms", nargs="*", metavar="ROOM", help=f"of {', '.join(TESTS)}; all of them if none is given")
+    rooms = parser.parse_args().rooms or list(TESTS)
+    if unknown := set(rooms) - set(TESTS):
+        parser.error(f"there is no room {', '.join(sorted(unknown))}; choose from {', '.join(TESTS)}")
+    missed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        shutil.copytree(ROOT / "lib", folder / "lib", ignore=shutil.ignore_patterns("__pycache__"))
+        (folder / "data").symlink_to(ROOT / "data")
+        for room in rooms:
+            begin = perf_counter()
+            broken = failures(shlex.split(TESTS[room]), folder, folder / "compiled")
+            report(room, "no fault", begin, f"FAILS: {', '.join(broken)}" if broken else "all tests pass")
+            for fault in (fault for fault in FAULTS if fault.room == room):
+                begin = perf_counter()
+                caught = injected(fault, folder, broken)
+                report(room, fault.name, begin, f"caught by {caught[0]}" if caught else "NOT CAUGHT")
+                missed += not caught
+    print(f"{missed} not caught")
+    return 1 if missed else 0
+
+
+def report(room, name, begin, outcome):
+    print(f"{room:<13} {perf_counter() - begin:4.0f} s  {name}: {outcome}", flush=True)
+
+
+def injected(fault, folder, broken):
+    """The first test that fails with a fault, in a list; `broken` are those that fail anyway, and do not count."""
+    path = folder / "lib" / "mireach" / fault.file
+    text, found = path.read_text(), path.stat()
+    if text.count(fault.old) != 1:
+        raise ValueError(f"{fault.file} holds {text.count(fault.old)} times, and not once: {fault.old}")
+    # numba keeps compiled code as long as compiled.py has the same date; with a fault it gets a folder of its own
+    compiled = Path(tempfile.mkdtemp(dir=folder)) if fault.file == "compiled.py" else folder / "compiled"
+    try:
+        path.write_text(text.replace(fault.old, fault.new))
+        deselected = [f"--deselect={test}" for test in broken]
+        return failures(["-x", *shlex.split(TESTS[fault.room]), *deselected], folder, compiled)
+    except subprocess.TimeoutExpired:
+        return []
+    finally:
+        path.write_text(text)
+        os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))
+
+
+def failures(arguments, folder, compiled):
+    """The tests that fail with the package in `folder`.
+
+    Raises
+    ------
+    RuntimeError
+        If pytest ends without an answer, such as where the package cannot be imported.
+    subprocess.TimeoutExpired
+        If that takes longer than `SECONDS`.
+    """
+    own = {"PYTHONPATH": str(folder / "lib"), "NUMBA_CACHE_DIR": str(compiled), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rf", "-p", "no:cacheprovider", *arguments]
+    run = subprocess.run(
+        command, cwd=ROOT, env=os.environ | own, capture_output=True, text=True, timeout=SECONDS, check=False
+    )
+    found = FAILED.findall(run.stdout)
+    if run.returncode not in (0, 1) or (run.returncode == 1) != bool(found):
+        raise RuntimeError(f"pytest ended with {run.returncode}:\n{run.stdout}\n{run.stderr}")
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())
