@@ -140,7 +140,8 @@ for name, found in maximal.items():
 
 # %% [markdown]
 # That `set` is RPI is then *proven*: its corners are floats, and floats are fractions. `prove_rpi` cuts the region into
-# convex pieces, takes every number as the fraction that it is, builds the cells anew without rounding, and shows for every piece of every cell: image, widened by $\mathcal{D}$, less all pieces is empty.
+# convex pieces, takes every number as the fraction that it is, builds the cells anew without rounding, and shows for
+# every piece of every cell: image, widened by $\mathcal{D}$, less all pieces is empty.
 # None of the code that found the set is trusted. Now forge it:
 
 # %% tags=["nbval-check-output"]

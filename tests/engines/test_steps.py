@@ -1,20 +1,25 @@
-<<<<<<< HEAD
 """Steps in rational arithmetic: every refutation replays in fractions, from a state that lies in the set."""
-=======
-"""Single steps in rational arithmetic against the numbers of the loop, in fractions."""
->>>>>>> wt-mut
 
 from fractions import Fraction
 
 import numpy as np
 import pytest
-<<<<<<< HEAD
-from loops import affine_loop, exact_highest, jump_loop, random_loop, replays
+from loops import (
+    affine_loop,
+    exact_highest,
+    exact_input,
+    exact_maximum,
+    exactly_inside,
+    jump_loop,
+    random_loop,
+    replays,
+)
 
 import mireach as mr
 from mireach import Polytope
-from mireach.engines.steps import Escape, farthest_step, successor
-from mireach.rational import rational
+from mireach.engines.common import Witness
+from mireach.engines.steps import Escape, attained, farthest_step, successor
+from mireach.rational import fractions, rational
 
 
 def in_fractions(loop, witness):
@@ -99,13 +104,6 @@ def test_the_farthest_step_of_a_piece_is_attained_and_no_farther_than_the_truth(
             assert rational(value) == step.value and value <= truth
             beyond = Polytope(np.vstack([F.H, v]), np.append(F.h, np.nextafter(float(value), -np.inf)))
             assert not beyond.contains(np.array([float(entry) for entry in escape.after]))
-=======
-from loops import affine_loop, exact_input, exact_maximum, exactly_inside, random_loop
-
-from mireach import Polytope
-from mireach.engines.common import Witness
-from mireach.engines.steps import attained, farthest_step
-from mireach.rational import fractions
 
 
 def ends(loop, mode, x, d, v):
@@ -157,4 +155,3 @@ def test_nothing_is_attained_from_outside_of_f_x_or_d():
 
     assert reached(F, 0.6, 0.1) is reached(F, 0.25, 0.11) is reached(wide, 1.5, 0.1) is None
     assert float(fractions([reached(F, 0.5, 0.1)])[0]) == pytest.approx(0.35, abs=1e-8)
->>>>>>> wt-mut
