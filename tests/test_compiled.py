@@ -23,7 +23,7 @@ def readonly(array):
 
 
 def vertices(H, h):
-    return polygon(readonly(H), readonly(h), PARALLEL, TOL)
+    return polygon(readonly(H), readonly(h), PARALLEL, TOL)[1]
 
 
 def support_by_lp(H, h, v):
@@ -227,7 +227,7 @@ def test_dual_bounds_are_not_below_the_exact_maximum(seed):
     H, V = random_rows(rng, 6), rng.normal(size=(8, 2))
     H = np.vstack([H, np.eye(2), -np.eye(2)])
     h = rng.uniform(0.1, 2, len(H))
-    kind, _, *found = vertices(H, h)
+    kind, _, *found = polygon(readonly(H), readonly(h), PARALLEL, TOL)
     assert kind == FAT
     rows = [([Fraction(a), Fraction(b)], Fraction(c)) for (a, b), c in zip(H.tolist(), h.tolist())]
     meetings = [solve_exactly([a, b], [p, q]) for (a, p), (b, q) in combinations(rows, 2)]
