@@ -237,9 +237,9 @@ def test_dual_bounds_are_not_below_the_exact_maximum(seed):
         assert highest_corner <= Fraction(bound) <= highest_corner + Fraction(1, 10**9)
 
 
-@pytest.mark.parametrize(("gap", "count"), [(0.0, 2), (5e-12, 2), (2e-11, 0), (-0.25, 4)])
+@pytest.mark.parametrize(("gap", "count"), [(0.0, 4), (5e-12, 2), (2e-11, 0), (-0.25, 4)])
 def test_a_polygon_that_a_half_plane_touches_keeps_the_edge(gap, count):
-    """The unit square and x1 >= 1 + gap, with touch = 1e-11."""
+    """The unit square and x1 >= 1 + gap, with touch = 1e-11; at a gap of 0 the part is as wide as the slack."""
     polygon, part = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.zeros((16, 2))
     kept = _cut(polygon, 4, -1.0, 0.0, -1.0 - gap, 1e-15, 1e-11, part, np.zeros(16))
     assert kept == count
