@@ -72,9 +72,9 @@ FAULTS = (
     Fault(
         "cells",
         "engines/cells.py",
-        "modes that are only an edge or a point are dropped",
+        "modes that are only an edge along an axis, or a point, are dropped",
         "modes = np.flatnonzero([len(corners) for corners in found])",
-        "modes = np.flatnonzero([len(corners) > 2 for corners in found])",
+        "modes = np.flatnonzero([len(corners) and np.ptp(corners, axis=0).min() > 0 for corners in found])",
     ),
     Fault(
         "compiled",

@@ -9,7 +9,7 @@ from loops import solve_exactly
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from mireach.compiled import FAT, _doubt, around, dual_bounds, highest, parts, polygon, sharp_pairs
+from mireach.compiled import FAT, _cut, _doubt, around, dual_bounds, highest, parts, polygon, sharp_pairs
 from mireach.polygons import Polygons
 
 PARALLEL, TOL = 1e-12, 1e-11
@@ -227,7 +227,7 @@ def test_dual_bounds_are_not_below_the_exact_maximum(seed):
     H, V = random_rows(rng, 6), rng.normal(size=(8, 2))
     H = np.vstack([H, np.eye(2), -np.eye(2)])
     h = rng.uniform(0.1, 2, len(H))
-    kind, _, *found = vertices(H, h)
+    kind, _, *found = polygon(readonly(H), readonly(h), PARALLEL, TOL)
     assert kind == FAT
     rows = [([Fraction(a), Fraction(b)], Fraction(c)) for (a, b), c in zip(H.tolist(), h.tolist())]
     meetings = [solve_exactly([a, b], [p, q]) for (a, p), (b, q) in combinations(rows, 2)]
@@ -235,3 +235,13 @@ def test_dual_bounds_are_not_below_the_exact_maximum(seed):
     for (p, q), bound in zip(V.tolist(), dual_bounds(readonly(V), *found)):
         highest_corner = max(Fraction(p) * x[0] + Fraction(q) * x[1] for x in corners)
         assert highest_corner <= Fraction(bound) <= highest_corner + Fraction(1, 10**9)
+
+
+@pytest.mark.parametrize(("gap", "count"), [(0.0, 4), (5e-12, 2), (2e-11, 0), (-0.25, 4)])
+def test_a_polygon_that_a_half_plane_touches_keeps_the_edge(gap, count):
+    """The unit square and x1 >= 1 + gap, with touch = 1e-11; at a gap of 0 the part is as wide as the slack."""
+    polygon, part = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.zeros((16, 2))
+    kept = _cut(polygon, 4, -1.0, 0.0, -1.0 - gap, 1e-15, 1e-11, part, np.zeros(16))
+    assert kept == count
+    assert part[:kept].tolist() == [] or np.abs(part[:kept, 0].min() - min(1 + gap, 1)) <= 1e-14
+    assert sorted(set(part[:kept, 1].tolist())) == ([0, 1] if count else [])
