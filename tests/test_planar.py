@@ -667,3 +667,10 @@ def test_too_many_parts_are_an_error_that_says_what_to_do(monkeypatch):
         mr.exact_reach(loop, square(0.7), 2)
     with pytest.raises(mr.errors.RegionError, match="larger tolerance"):
         mr.attractor(loop, square(0.7))
+
+
+@pytest.mark.parametrize("seed", [1, 4, 5, 6])
+def test_the_first_slack_is_enough_for_a_proof(seed):
+    """What is lost is widened by the slack: were it narrowed, no slack would lead to a set that is RPI."""
+    found = mr.maximal_safe_set(random_loop(seed, 2, cuts=1, layers=1, kinds=("box",), limits=4.0))
+    assert found.verdict == "proven" and found.slack == 1e-9 and found.iterations > 1
