@@ -19,9 +19,8 @@ from ..polytope import Polytope, box_directions
 from .common import Lazily, Support, checked_query, empty_support, replay
 
 TOUCH = 1e-11  # closed sets that come this close touch (relative to the size of X)
-ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this, relative to the size of the states ...
-COARSE = 2.0**-32  # ... but not of more than this (units of x) ...
-NOISE = 2.0**-44  # ... except for large sizes, relative to which it has to stay above the rounding of floats
+ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this (in the units of the loop) ...
+NOISE = 2.0**-44  # ... and of this for large images, relative to them: it has to stay above the rounding of floats
 CORNER = 2.0**-50  # how far rounding moves a new corner off its edge, at most (relative to the size of X)
 SHAPED = 16  # cuts that a polygon of X and a region counts for; rounding moves its corners by no more than theirs
 CUTS = 64  # cuts by rows of F, one after the other, that the errors of a cell allow for
@@ -235,8 +234,8 @@ def support(loop, F, V, steps=1, *, known=None):
     -------
     Support
         For one step a `CellSupport`, which helps as `known`.
-        `bound` is rounded up to a multiple of 1.5e-11 of the size of X and its image, of no more than 2.3e-10 up to a
-        size of 4096 (times |v| for long rows), so that equal sets give equal numbers.
+        `bound` is rounded up to a multiple of 1.5e-11 in the units of the loop, of more only for images above 256
+        (times |v| for long rows), so that equal sets give equal numbers.
 
     Raises
     ------
@@ -430,7 +429,7 @@ def _cut_by_inputs(found, regions):
 def _unit(size):
     """The power of two of which bounds are multiples, for states of this size."""
     power = 2.0 ** np.ceil(np.log2(size))
-    return min(ROUNDING * power, max(COARSE, NOISE * power))
+    return max(ROUNDING, NOISE * power)
 
 
 def _size(points):
