@@ -74,7 +74,8 @@ def test_source_is_in_order(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_way_through_nbgrader(name, script, tmp_path):
+def test_way_through_nbgrader(name, script, tmp_path, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # two trainings at once would fight for the cores
     course = copy_course(tmp_path, [name])
     api = script.course_api(course, tmp_path / "gradebook.db")
     answer = api.generate_assignment(name)
