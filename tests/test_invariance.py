@@ -9,7 +9,7 @@ from loops import affine_loop, assert_replays, brute_support, jump_loop, largest
 
 import mireach as mr
 from mireach import ClosedLoop, NonlinearSystem, Polytope, PWASystem, box_directions, directions
-from mireach.engines.common import Support
+from mireach.engines.common import SOLVER, Support
 from mireach.invariance import (
     _growth,
     check_rpi,
@@ -117,6 +117,26 @@ def test_a_safe_set_is_proven_by_bounds_and_not_by_attained_values(monkeypatch):
     for bound, verdict in ((1.0, "proven"), (1.1, "unknown")):
         answering(monkeypatch, bound, 0.9)
         assert safe_set(loop, max_iterations=3).verdict == verdict
+
+
+def test_a_wrong_word_of_a_solver_proves_no_safe_set(monkeypatch):
+    """R_1(X) is [-0.05, 1.05] along x1; one that says 0.3 too little leads to F_1 = [0.25, 0.75], which is left."""
+    loop = contraction(w=0.05, p=(0.5, 0.0))
+
+    def lying(*args, engine, **_):
+        found = mr.support(*args, engine="exact" if engine == "exact" else "cells")
+        return found if engine == "exact" else replace(found, bound=found.bound - 0.3, rests_on=SOLVER)
+
+    monkeypatch.setattr("mireach.settle.support", lying)
+    found = safe_set(loop, BOX, "cvxpy", max_iterations=5)
+    assert found.verdict == "unknown" and found.set is None and SOLVER in found.reason
+
+
+def test_a_terminal_sequence_of_a_solver_says_so():
+    pytest.importorskip("cvxpy")
+    loop = contraction()
+    assert terminal_set(loop, safe_set(loop, BOX), BOX, max_steps=2).settled == "rounding counted"
+    assert "solver's word" in terminal_set(loop, safe_set(loop, BOX), BOX, engine="cvxpy", max_steps=2).settled
 
 
 def test_exact_arithmetic_overrules_a_loose_bound_in_the_plane(monkeypatch):

@@ -9,7 +9,7 @@ from tqdm.auto import tqdm
 from .approximation import prove_error
 from .checks import positive_number, real_array, require_kind, whole_number
 from .engines import exact
-from .engines.common import Witness
+from .engines.common import SOLVER, Witness
 from .engines.inputs import violating_state
 from .engines.steps import Escape, attained, farthest_step
 from .loop import ClosedLoop
@@ -112,7 +112,7 @@ class TerminalSet:
     alphas : array (steps,)
         alpha at k = 1, ..., `steps`, rounded down.
     settled : str
-        What it rests on that F_max is RPI, and with it every set of the sequence, as in `RPICheck`.
+        What it rests on that every set of the sequence is RPI and reached from F_max, as in `RPICheck`.
     """
 
     set: Polytope
@@ -262,16 +262,22 @@ def safe_set(loop, C=None, engine=None, *, max_iterations=200, tol=None, progres
     V = _with_rows(_template(loop, C), loop.system.state_set.H)
     engine, tol, X = default_engine(loop) if engine is None else engine, tolerance(tol), loop.system.state_set
     limit, weights = X.offsets(V), own_units(loop).rows(V)[1]
-    h, history, image = X.bound(V), [X], None
+    h, history, image, believed = X.bound(V), [X], None, False
     with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
         for k in range(max_iterations + 1):
             found = compare(loop, history[-1], V, limit, engine, tol, **_reused(engine, image), **options)
             if found.stopped:
                 return SafeSet(None, k, history, "unknown", found.stopped.removeprefix("; "), None)
             if found.holds.all():
+                if believed:  # F_k may be smaller than the image of F_(k-1): that it is RPI is settled for itself
+                    found = compare(loop, history[-1], V, history[-1].offsets(V), engine, tol, **options)
+                if not found.holds.all():
+                    reason = f"R1(F{k}) lies in X, but not in F{k}: a bound that rests on {SOLVER} was wrong"
+                    return SafeSet(None, k, history, "unknown", reason, None)
                 reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
                 return SafeSet(history[-1], k, history, "proven", reason, None, found.settled)
             image, smaller = found.found, np.minimum(found.bound, h)
+            believed |= image.rests_on == SOLVER
             following = Polytope(V, smaller)
             rests = (smaller >= h - (image.resolution if tol is None else tol)).all()
             if rests or following.is_empty or k == max_iterations:
@@ -353,14 +359,14 @@ def terminal_set(
     found = _require_rpi(loop, F, V, engine, tol, options)
     history, alphas, image, h, after = [F], [], found.found, F.bound(V), found.bound
     still = image.resolution if tol is None else tol
-    criterion = stagnant = False
+    criterion, stagnant, settled = False, False, found.settled
     with tqdm(total=max_steps, desc="terminal set", disable=not progress) as bar:
         while not (criterion or stagnant) and len(alphas) < max_steps:
             smaller = np.minimum(after, h)
             R = Polytope(V, smaller)
             stagnant, same = (smaller >= h - still).all(), (smaller >= h).all()
             alphas.append(_growth(R, h, c))
-            h, history = smaller, [*history, R]
+            h, history, settled = smaller, [*history, R], weaker(settled, image.rests_on)
             image = support(loop, R, V, engine=engine, **_reused(engine, image), **options)
             after = image.bound
             criterion = _is_near_limit(loop, R, after, V, epsilon, c, engine, options)
@@ -389,7 +395,7 @@ def terminal_set(
         (alpha - 1) * inner_radius,
         bool(alpha > 1),
         np.array(alphas),
-        found.settled,
+        settled,
     )
 
 
@@ -667,7 +673,7 @@ def _is_near_limit(loop, R, after, V, epsilon, c, engine, options):
     """
     if not R.contains(c):
         return False
-    S = _scaled(R, 1 / (1 + epsilon), c)
+    S = _scaled(R, np.nextafter(1 / (1 + epsilon), 2), c)
     reach = S.bound(V)
     if (reach > after).any():  # S is not even in R_1-bar(R)
         return False

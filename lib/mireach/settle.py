@@ -154,7 +154,7 @@ def compare(loop, F, V, limit, engine=None, tol=None, thorough=False, **options)
 def weaker(*settled):
     """The weakest of several things that a result rests on."""
     order = {EXACT: 0, COUNTED: 1}
-    return max(settled, key=lambda one: order.get(one, 2), default=EXACT)
+    return max(settled, key=lambda one: 3 if SOLVER in one else order.get(one, 2), default=EXACT)
 
 
 def standing(loop, x):
