@@ -298,7 +298,7 @@ def test_no_rounding_makes_a_set_grow_into_itself():
     for _ in range(200):
         angles = np.array([0, 2, 4]) + rng.uniform(0, 0.5, 3)
         R = Polytope(np.column_stack([np.cos(angles), np.sin(angles)]), rng.uniform(0.5, 2, 3))
-        assert _growth(R, R.h, np.zeros(2)) == 1
+        assert _growth(R.H, R.bound(R.H), R.h, np.zeros(2)) == 1
 
 
 def test_terminal_sets_of_random_loops_are_invariant_reached_and_near_the_limit():
@@ -357,7 +357,7 @@ def test_alpha_is_rounded_down():
         h, before, c = rng.uniform(0.5, 2, 4), rng.uniform(0.5, 2, 4), rng.uniform(-0.4, 0.4, 2)
         middle = [Fraction(s * e) for s, e in zip((1, 1, -1, -1), (*c.tolist(), *c.tolist()))]
         rooms = [(Fraction(b) - m, Fraction(o) - m) for b, o, m in zip(before.tolist(), h.tolist(), middle)]
-        exactly, alpha = min(room / size for room, size in rooms), _growth(Polytope(BOX, h), before, c)
+        exactly, alpha = min(room / size for room, size in rooms), _growth(BOX, h, before, c)
         assert Fraction(alpha) <= exactly < Fraction(np.nextafter(alpha, np.inf))
 
 

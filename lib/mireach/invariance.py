@@ -13,7 +13,7 @@ from .engines.common import SOLVER, Witness
 from .engines.inputs import violating_state
 from .engines.steps import Escape, attained, farthest_step
 from .loop import ClosedLoop
-from .polytope import Polytope, box_directions, directions
+from .polytope import ROUNDING, Polytope, box_directions, directions
 from .rational import above, below, binary, dot, fractions, nearest, rational, strict_point
 from .reach import default_engine, support
 from .scaling import normal_rows
@@ -365,11 +365,12 @@ def terminal_set(
             smaller = np.minimum(after, h)
             R = Polytope(V, smaller)
             stagnant, same = (smaller >= h - still).all(), (smaller >= h).all()
-            alphas.append(_growth(R, h, c))
+            reach = R.bound(V)
+            alphas.append(_growth(V, reach, h, c))
             h, history, settled = smaller, [*history, R], weaker(settled, image.rests_on)
             image = support(loop, R, V, engine=engine, **_reused(engine, image), **options)
             after = image.bound
-            criterion = _is_near_limit(loop, R, after, V, epsilon, c, engine, options)
+            criterion = _is_near_limit(loop, R, reach, after, V, epsilon, c, engine, options)
             bar.update()
     k = len(alphas)
     if criterion:
@@ -382,7 +383,7 @@ def terminal_set(
             reason += '; try centre="equilibrium"'
     else:
         reason = f"max_steps = {max_steps} came first"
-    alpha, inner_radius = alphas[-1], ((R.bound(V) - V @ c) / np.linalg.norm(V, axis=1)).min()
+    alpha, inner_radius = alphas[-1], ((reach - V @ c) / np.linalg.norm(V, axis=1)).min()
     return TerminalSet(
         R,
         k,
@@ -648,14 +649,26 @@ def _centre(loop, centre):
     return c
 
 
-def _growth(R, before, c):
-    """Largest alpha with alpha (R - c) in R_before - c, rounded down; R_before has the rows of R, offsets `before`."""
+def _growth(V, reach, before, c):
+    """Largest alpha with alpha (R - c) in R_before - c, rounded down, for sets with rows V; nan if c is not inside R.
+
+    `reach` is the support function of R along V, and `before` has the offsets of R_before. Floats leave out the rows
+    that cannot have the smallest ratio, their rounding counted; the others are compared in rational arithmetic.
+    """
+    middle, n = V @ c, len(c)
+    rounding = (n + 4) * ROUNDING * (np.abs(V) @ np.abs(c) + np.maximum(np.abs(reach), np.abs(before)))
+    top, bottom = before - middle, reach - middle
+    rows = np.arange(len(V))
+    if (bottom > 2 * rounding).all():
+        least = (top - rounding) / np.where(top > rounding, bottom + rounding, bottom - rounding)
+        most = (top + rounding) / np.where(top > -rounding, bottom - rounding, bottom + rounding)
+        rows = np.flatnonzero(least - most.min() <= 8 * ROUNDING * (np.abs(least) + np.abs(most.min())))
     c, shares = binary(c), []
-    for a, limit, reach in zip(binary(R.H), binary(before), binary(R.bound(R.H))):
-        middle = dot(a, c)
-        if reach <= middle:
+    for r in rows:
+        value, inner = dot(binary(V[r]), c), binary(reach[r])
+        if inner <= value:
             return np.nan
-        shares.append((limit - middle) / (reach - middle))
+        shares.append((binary(before[r]) - value) / (inner - value))
     return below(min(shares))
 
 
@@ -666,11 +679,15 @@ def _scaled(R, s, c):
     return Polytope(R.H, offsets)
 
 
-def _is_near_limit(loop, R, after, V, epsilon, c, engine, options):
+def _is_near_limit(loop, R, reach, after, V, epsilon, c, engine, options):
     """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
 
-    `after` is a bound on h of R_1(R) along V. What S must lie in is attained by steps in rational numbers.
+    `reach` and `after` are the support functions of R and of R_1(R) along V. What S must lie in is attained by steps
+    in rational numbers.
     """
+    middle = V @ c
+    if (middle + (reach - middle) / (1 + epsilon) > after + ROUNDING * 64 * np.abs(after)).any():
+        return False  # S is clearly not even in R_1-bar(R)
     if not R.contains(c):
         return False
     S = _scaled(R, np.nextafter(1 / (1 + epsilon), 2), c)
