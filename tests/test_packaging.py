@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+import mireach
+
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("torch", "casadi", "cvxpy", "daqp", "joblib", "dask", "matplotlib", "cvxopt")
 
@@ -105,10 +107,26 @@ def test_package_works_where_compiled_code_cannot_be_kept_or_read(package):
     run_compiled(package)
 
 
-def test_import_says_nothing_and_brings_no_heavy_parts():
-    script = f"import mireach, sys; print([name for name in {HEAVY!r} if name in sys.modules])"
+def in_a_new_process(script):
+    """What a script prints, with warnings as errors."""
     done = subprocess.run([sys.executable, "-W", "error", "-c", script], capture_output=True, text=True)
-    assert (done.stdout, done.stderr) == ("[]\n", "")
+    assert done.stderr == ""
+    return done.stdout.strip()
+
+
+def test_import_says_nothing_and_brings_no_heavy_parts():
+    script = "import mireach, sys; {}; print([name for name in {} if name in sys.modules])"
+    assert in_a_new_process(script.format("pass", (*HEAVY, "numba", "shapely", "scipy", "highspy", "numpy"))) == "[]"
+    assert in_a_new_process(script.format("mireach.safe_set", HEAVY)) == "[]"
+
+
+def test_the_public_names_are_those_of_the_stub_and_can_be_imported():
+    stub = ast.parse((ROOT / "lib" / "mireach" / "__init__.pyi").read_text())
+    listed = next(ast.literal_eval(node.value) for node in stub.body if isinstance(node, ast.Assign))
+    assert sorted(listed) == sorted(mireach.__all__) and set(listed) <= set(dir(mireach))
+    assert in_a_new_process(f"from mireach import *; print(set({listed}) <= set(globals()))") == "True"
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = mireach.no_such_name
 
 
 def test_the_readme_s_example_runs_and_its_files_exist(capsys):

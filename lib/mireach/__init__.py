@@ -1,56 +1,5 @@
 """mireach: robustly positively invariant sets of neural loops by mixed-integer reachability."""
 
-from . import certificate
-from .approximation import fit_pwa, prove_error
-from .case_studies import case_study
-from .errors import CorruptFileError, MireachError, SolverError, SolverStopped
-from .invariance import (
-    check_rpi,
-    contraction,
-    safe_set,
-    scaled_minimal_set,
-    terminal_set,
-    ultimately_bounded,
-)
-from .loop import ClosedLoop
-from .network import Layer, MaxoutNetwork
-from .planar import attractor, exact_reach, largest_disturbance, maximal_safe_set, prove_rpi
-from .polytope import Polytope, box_directions, directions
-from .reach import outer_reach, outer_step, support
-from .region import Region
-from .system import Mode, NonlinearSystem, PWASystem
+import lazy_loader
 
-__all__ = [
-    "ClosedLoop",
-    "CorruptFileError",
-    "Layer",
-    "MaxoutNetwork",
-    "MireachError",
-    "Mode",
-    "NonlinearSystem",
-    "PWASystem",
-    "Polytope",
-    "Region",
-    "SolverError",
-    "SolverStopped",
-    "attractor",
-    "box_directions",
-    "case_study",
-    "certificate",
-    "check_rpi",
-    "contraction",
-    "directions",
-    "exact_reach",
-    "fit_pwa",
-    "largest_disturbance",
-    "maximal_safe_set",
-    "outer_reach",
-    "outer_step",
-    "prove_error",
-    "prove_rpi",
-    "safe_set",
-    "scaled_minimal_set",
-    "support",
-    "terminal_set",
-    "ultimately_bounded",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
