@@ -607,7 +607,7 @@ class Polytope:
                 chunk = chunk[~parallel[chunk[:, i], chunk[:, j]]]
             regular = np.abs(np.linalg.det(row[chunk])) > SINGULAR
             points = np.linalg.solve(row[chunk[regular]], offset[chunk[regular]][..., None])[..., 0]
-            terms = np.abs(points) @ size.T + np.abs(offset)
+            terms = np.abs(points).max(axis=1)[:, None] * size.sum(axis=1) + np.abs(offset)
             inside = (points @ row.T - offset <= NEARLY * terms).all(axis=1)
             found += [*chunk[regular][inside].tolist(), *chunk[~regular].tolist()]
             doubtful += (~regular).sum()
