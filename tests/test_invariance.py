@@ -361,6 +361,21 @@ def test_alpha_is_rounded_down():
         assert Fraction(alpha) <= exactly < Fraction(np.nextafter(alpha, np.inf))
 
 
+@pytest.mark.parametrize("distance", [0.0, 1.0, 1e4, 1e8])
+def test_alpha_is_the_smallest_of_ratios_that_floats_cannot_tell_apart(distance):
+    rng = np.random.default_rng(4)
+    for _ in range(60):
+        V, c = rng.normal(size=(6, 2)), distance * rng.normal(size=2)
+        h = V @ c + rng.uniform(0.5, 2, 6)
+        before = V @ c + 3 * (h - V @ c) + rng.integers(-2, 3, 6) * np.spacing(distance + 1)
+        ratios = []
+        for v, b, o in zip(V.tolist(), before.tolist(), h.tolist()):
+            middle = sum(Fraction(a) * Fraction(y) for a, y in zip(v, c.tolist()))
+            ratios.append((Fraction(b) - middle) / (Fraction(o) - middle))
+        alpha = _growth(V, h, before, c)
+        assert Fraction(alpha) <= min(ratios) < Fraction(np.nextafter(alpha, np.inf))
+
+
 def test_a_terminal_sequence_loses_nothing_of_f_max_by_rounding():
     """R_1(F) = F for x+ = x: every set of the sequence holds the corners of F, in fractions."""
     F, C = Polytope.box([-0.9, -0.7], [0.8, 0.6]), np.random.default_rng(0).normal(size=(24, 2))

@@ -14,7 +14,7 @@ from loops import largest
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from test_rational import largest as largest_over_vertices
 
-from mireach import Polytope, box_directions, directions, rational
+from mireach import Polytope, box_directions, directions
 
 small = st.floats(-5, 5, allow_subnormal=False)
 points = arrays(float, st.tuples(st.integers(3, 12), st.just(2)), elements=st.integers(-40, 40).map(lambda k: k / 8))
@@ -107,22 +107,6 @@ def test_vertices_of_points_and_segments():
     corners = Polytope.from_points(ends).vertices()
     np.testing.assert_allclose(corners[np.argsort(corners[:, 0])], ends, atol=1e-12)
     assert len(Polytope.box([0, 0, 0], [1, 0, 0]).vertices()) == 2
-
-
-def test_a_vertex_on_a_row_without_offset_is_found():
-    """A segment with an end on -x1 <= 0, and the same in space: float candidates are off by rounding there."""
-    P = Polytope([[3, 5], [-3, -5], [1, 0], [0, 1], [-1, 0], [0, -1]], [13, -13, 3, 4, 0, -1])
-    assert P.exact_maximum([2, 5]).value == 13 and not P.is_subset(Polytope([[2, 5]], [12]))
-    rng = np.random.default_rng(0)
-    for n in (2, 3):
-        for _ in range(60):
-            a, x = whole_vector(rng, n, 5), whole_vector(rng, n, 5)
-            h = np.concatenate([[a @ x, -a @ x], x + rng.integers(0, 3, n), rng.integers(0, 3, n) - x])
-            P = Polytope(np.vstack([a, -a, np.eye(n), -np.eye(n)]), h)
-            corners = {tuple(map(fraction, p)) for p in P._meeting_points}
-            for v in rng.integers(-5, 6, (3, n)):
-                right = fraction(rational.maximize(*P.exact, rational.binary(v)).value)
-                assert max(sum(int(b) * y for b, y in zip(v, corner)) for corner in corners) == right
 
 
 # -- inclusion, intersection, scaling -----------------------------------------------------------------
@@ -280,6 +264,28 @@ def test_every_decision_is_that_of_rational_elimination(make, n):
             least = rounded_up(value)
             assert P.is_subset(Polytope([v], [least]))
             assert not P.is_subset(Polytope([v], [float(np.nextafter(least, -np.inf))]))
+
+
+def test_a_vertex_on_a_row_without_offset_is_found():
+    """A segment that ends on -x1 <= 0, where the float candidate has x1 = 4e-16 instead of 0."""
+    P = Polytope([[3, 5], [-3, -5], [1, 0], [0, 1], [-1, 0], [0, -1]], [13, -13, 3, 4, 0, -1])
+    assert P.exact_maximum([2, 5]).value == 13 and not P.is_subset(Polytope([[2, 5]], [12]))
+
+
+@pytest.mark.parametrize("n, count", [(2, 400), (3, 60)])
+def test_maxima_over_flat_sets_with_rows_without_offset(n, count):
+    rng = np.random.default_rng(n)
+    for _ in range(count):
+        a, x = whole_vector(rng, n, 5), whole_vector(rng, n, 5)
+        H = np.vstack([a, -a, np.eye(n), -np.eye(n)])
+        h = np.concatenate([[a @ x, -a @ x], (x + rng.integers(0, 3, n)).clip(0), (rng.integers(0, 3, n) - x).clip(0)])
+        P = Polytope(H, h)
+        corners = [exactly(corner) for corner in P.vertices()]
+        for v in rng.integers(-5, 6, (3, n)).astype(float):
+            right = largest_over_vertices(exactly(H), exactly(h), exactly(v))
+            assert fraction(P.exact_maximum(v).value) == right
+            highest = max(sum(b * y for b, y in zip(exactly(v), corner)) for corner in corners)
+            assert abs(highest - right) <= 1e-12
 
 
 @pytest.mark.parametrize("make", [flat, nearly_flat, far_away, ordinary])

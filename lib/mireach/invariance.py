@@ -655,8 +655,7 @@ def _growth(V, reach, before, c):
     `reach` is the support function of R along V, and `before` has the offsets of R_before. Floats leave out the rows
     that cannot have the smallest ratio, their rounding counted; the others are compared in rational arithmetic.
     """
-    middle, n = V @ c, len(c)
-    rounding = (n + 4) * ROUNDING * (np.abs(V) @ np.abs(c) + np.maximum(np.abs(reach), np.abs(before)))
+    middle, rounding = V @ c, _rounding(V, c, reach, before)
     top, bottom = before - middle, reach - middle
     rows = np.arange(len(V))
     if (bottom > 2 * rounding).all():
@@ -672,6 +671,11 @@ def _growth(V, reach, before, c):
     return below(min(shares))
 
 
+def _rounding(V, c, h, other):
+    """What floats round off at most in h - V c and in other - V c: array (k,)."""
+    return (len(c) + 4) * ROUNDING * (np.abs(V) @ np.abs(c) + np.maximum(np.abs(h), np.abs(other)))
+
+
 def _scaled(R, s, c):
     """c + s (R - c), its offsets rounded upward."""
     s, centre = binary(s), binary(c)
@@ -682,12 +686,12 @@ def _scaled(R, s, c):
 def _is_near_limit(loop, R, reach, after, V, epsilon, c, engine, options):
     """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
 
-    `reach` and `after` are the support functions of R and of R_1(R) along V. What S must lie in is attained by steps
-    in rational numbers.
+    `reach` and `after` are upper bounds on the support functions of R and of R_1(R) along V. What S must lie in is
+    attained by steps in rational numbers.
     """
     middle = V @ c
-    if (middle + (reach - middle) / (1 + epsilon) > after + ROUNDING * 64 * np.abs(after)).any():
-        return False  # S is clearly not even in R_1-bar(R)
+    if (middle + (reach - middle) / (1 + epsilon) > after + 4 * _rounding(V, c, reach, after)).any():
+        return False  # clearly, S is not even in R_1-bar(R)
     if not R.contains(c):
         return False
     S = _scaled(R, np.nextafter(1 / (1 + epsilon), 2), c)
