@@ -162,7 +162,7 @@ def hard_loop(seed):
 
 
 def hard_sets(loop, rng):
-    """Sets in X: all of it, boxes down to 1e-9 of its size, flat ones, needles, rows of any length."""
+    """Sets in X: all of it, boxes down to 1e-9 of its size, rows of any length, flat sets (with offsets of 0 too)."""
     X, n = loop.system.state_set, loop.system.state_size
     x, reach = X.sample(rng, 1)[0], np.abs(X.bounding_box()).max(axis=0)
     yield X
@@ -174,6 +174,17 @@ def hard_sets(loop, rng):
     yield Polytope.box(*(np.where(np.arange(n) == 0, x, end) for end in box.bounding_box()))
     normal = rng.normal(size=n) / reach
     yield X & Polytope([normal, -normal], [normal @ x + 1e-9, -(normal @ x)])
+    yield X & flat_with_zeros(rng, reach)
+
+
+def flat_with_zeros(rng, reach):
+    """A flat set in which most rows have offset 0: part of a hyperplane in one orthant, with whole numbers as rows."""
+    n = len(reach)
+    a, unit = rng.integers(-9, 10, n).astype(float), 2.0 ** np.floor(np.log2(reach))
+    equality = a / unit
+    offset = rng.integers(0, 2) * (equality @ (unit * rng.integers(0, 8, n) / 8))
+    orthant = -np.diag(rng.choice([1.0, 3.0, 7.0], n))
+    return Polytope(np.vstack([equality, -equality, orthant]), np.concatenate([[offset, -offset], np.zeros(n)]))
 
 
 OPTIONS = [
@@ -193,7 +204,7 @@ def wrong_verdicts(seed, time_limit=0.5):
     n, found, asked, X = loop.system.state_size, [], Counter(), loop.system.state_set
     V = np.vstack([box_directions(n)[rng.integers(2 * n)], rng.normal(size=n)])
     size, options = np.abs(X.bounding_box()).max(axis=0), OPTIONS[seed % len(OPTIONS)]
-    chosen = rng.permutation(5)[:1].tolist()
+    chosen = rng.permutation(6)[:1].tolist()
     for number, F in enumerate(hard_sets(loop, rng)):
         truth, where = exact_highest(loop, F, V), f"seed {seed}, set {number}"
         asked["supports in fractions"] += sum(value is not None for value in truth)
