@@ -19,8 +19,9 @@ from .balls import flint
 from .checks import positive_number, real_array, require_columns, require_kind, whole_number
 from .compiled import EMPTY, FAT, around, dual_bounds, hull, in_units, inclusion, membership, polygon
 from .errors import SolverError
+from .facets import Frame, image, rank, scaled
 from .lp import LinearProgram
-from .rational import ExactOptimum, above, binary, nearest
+from .rational import ExactOptimum, above, below, binary, nearest
 from .scaling import LARGEST, normal_rows, power_of_two, times
 
 TOUCH = 1e-11  # vertices count as one point within this distance, relative to the size of the set in each coordinate
@@ -52,6 +53,10 @@ class Polytope:
     ------
     ValueError
         If sizes do not match or an entry is not finite.
+
+    Notes
+    -----
+    `==` and `hash` compare objects, not sets: the same set has many H and h. `equals` compares sets.
 
     Examples
     --------
@@ -524,6 +529,35 @@ class Polytope:
         rows = rows[~(self.offsets(Q.H[rows]) <= Q.h[rows])].tolist()
         return not rows or self.is_empty or all(self._stays_below(Q.H[r], Q.h[r], tol) for r in rows)
 
+    def equals(self, Q):
+        """Whether P = Q as sets: P is a subset of Q and Q of P.
+
+        Parameters
+        ----------
+        Q : Polytope
+
+        Returns
+        -------
+        bool
+
+        Raises
+        ------
+        ValueError
+            If Q is no Polytope or lies in another space; the message gives both dimensions.
+
+        Examples
+        --------
+        >>> P = Polytope([[1], [-1]], [1, 1])
+        >>> Q = Polytope([[2], [1], [-3]], [2, 5, 3])
+        >>> P.equals(Q), P == Q
+        (True, False)
+
+        Notes
+        -----
+        Decided without rounding. `==` compares objects, and `hash` goes with it.
+        """
+        return self.is_subset(Q) and Q.is_subset(self)
+
     def _stays_below(self, v, limit, tol):
         """Whether v x <= limit on a P that is not empty, up to the share tol of `is_subset`."""
         highest, limit = self.exact_maximum(v).value, binary(limit)
@@ -563,14 +597,28 @@ class Polytope:
             return self._plane.corners
         if self.is_empty:
             return np.zeros((0, n))
-        if not self.is_bounded:
-            raise ValueError("the polytope is unbounded; intersect it with a box before asking for vertices")
-        if comb(len(self.h), n) > MOST_VERTEX_CANDIDATES:
-            raise ValueError(f"{len(self.h)} rows in R^{n} are too many to enumerate vertices; use support()")
+        self._require_enumerable()
         points = self._nearest_corners
         if not np.isfinite(points).all():
             raise ValueError("a vertex lies beyond the largest float; choose another unit, or use exact_maximum()")
         return _apart(points)
+
+    def _require_enumerable(self):
+        """Raise ValueError if the set is unbounded, or has too many subsets of n rows to try each."""
+        if not self.is_bounded:
+            raise ValueError("the polytope is unbounded; intersect it with a box before asking for vertices")
+        if comb(len(self.h), self.dimension) > MOST_VERTEX_CANDIDATES:
+            raise ValueError(
+                f"{len(self.h)} rows in R^{self.dimension} are too many to enumerate vertices; use support()"
+            )
+
+    @cached_property
+    def _exact_vertices(self):
+        """The vertices of a bounded set without rounding: list of tuples of n fmpq."""
+        if self.is_empty:
+            return []
+        self._require_enumerable()
+        return [*self._meeting_points]
 
     @cached_property
     def _meeting_points(self):
@@ -615,17 +663,33 @@ class Polytope:
                 raise ValueError(f"more than {MOST_SINGULAR} subsets of the rows are nearly singular; use support()")
         return found
 
-    def chebyshev(self):
-        """Centre and radius of the largest ball in P: ((n,), float), to within rounding.
+    def chebyshev_centre(self):
+        """Centre c and radius r of the largest ball in P: max r over H_i c + r |H_i| <= h_i.
 
-        The radius is negative by the smallest widening that would make an empty P nonempty, 0 for a
-        flat P, and inf (with a centre of None) if P holds balls of any size.
+        Returns
+        -------
+        centre : array (n,) or None
+        radius : float
+            Negative by the smallest widening that would make an empty P nonempty, 0 for a flat P, and inf
+            (with a centre of None) if P holds balls of any size.
+
+        Examples
+        --------
+        >>> Polytope.box([0, 0], [2, 2]).chebyshev_centre()
+        (array([1., 1.]), 1.0)
+
+        Notes
+        -----
+        The program is solved without rounding. The lengths |H_i| and the answer are rounded to nearest. `chebyshev` is
+        the same method.
         """
         top = _top(self.H, np.zeros(self.dimension, int))
         row = np.ldexp(self.H, -top[:, None])
         lengths = np.ldexp(np.linalg.norm(row, axis=1), top)
         best = Polytope(np.column_stack([self.H, lengths]), self.h).farthest(np.eye(self.dimension + 1)[-1])
         return (None, np.inf) if best is None else (best[:-1], float(best[-1]))
+
+    chebyshev = chebyshev_centre
 
     def bounding_box(self):
         """Smallest box around P as (lower (n,), upper (n,)): inf where P is unbounded, lower > upper if P is empty."""
@@ -647,6 +711,44 @@ class Polytope:
             return 0.0
         x, y = (self._vertices - self._vertices[0]).T
         return float(x @ np.roll(y, -1) - np.roll(x, -1) @ y) / 2
+
+    def volume(self):
+        """Volume of P, the integral of 1 over P, in units of x1 times ... times xn.
+
+        Returns
+        -------
+        float
+            0 for flat and empty sets, inf for unbounded sets with an interior.
+
+        Raises
+        ------
+        ValueError
+            If a bounded P has too many rows to enumerate its vertices.
+
+        See Also
+        --------
+        area : the same in the plane, from the vertices in floating point.
+
+        Examples
+        --------
+        >>> Polytope.box([0, 0, 0], [1, 2, 3]).volume()
+        6.0
+
+        Notes
+        -----
+        Whether it is 0 or inf is decided without rounding. Otherwise the sum of rational volumes of simplices between
+        the rational vertices, rounded to nearest. qhull chooses the simplices in floating point, which changes the sum
+        by about rounding.
+        """
+        if self.is_empty:
+            return 0.0
+        if not self.is_bounded:
+            (H, h), zero = self.exact, [flint().fmpq(0)] * self.dimension
+            rows = [r for r in range(len(h)) if any(H[r])]
+            if not rows or rational.strict_point([zero], zero[:1], [H[r] for r in rows], [h[r] for r in rows]):
+                return np.inf
+            return 0.0
+        return nearest(Frame(self._exact_vertices).volume())
 
     # -- new sets ---------------------------------------------------------------------------------
 
@@ -675,6 +777,242 @@ class Polytope:
         if centre.shape not in ((), (self.dimension,)):
             raise ValueError(f"centre has shape {centre.shape}, but the polytope lies in R^{self.dimension}")
         return Polytope(self.H, s * self.h + (1 - s) * (self.H @ np.broadcast_to(centre, self.dimension)))
+
+    def sum(self, Q):
+        """Minkowski sum P + Q = {p + q : p in P, q in Q}.
+
+        Parameters
+        ----------
+        Q : Polytope
+            In the space of P.
+
+        Returns
+        -------
+        Polytope
+            Empty if P or Q is.
+
+        Raises
+        ------
+        ValueError
+            If Q is no Polytope or lies in another space, or, for n > 2, if P or Q has too many rows to enumerate its
+            vertices.
+
+        See Also
+        --------
+        erode : the Pontryagin difference.
+
+        Examples
+        --------
+        >>> P = Polytope.box([0, 0], [2, 1]).sum(Polytope.from_points([[0, 0], [1, 1]]))
+        >>> P.contains([3, 2]), P.contains([3, 0])
+        (True, False)
+
+        Notes
+        -----
+        Rounded outward: every offset is the smallest float that is not below h_P + h_Q along its row. The rows are
+        exact for n <= 2 and for boxes, where every facet of P + Q is parallel to one of P or of Q. Otherwise they are
+        the facets of the hull of all sums of two vertices, rounded to nearest. For n > 2 and unbounded sets it is
+        `map` of the product, and approximate as `map` says.
+        """
+        self._require_same_space(Q, "a Minkowski sum")
+        n = self.dimension
+        if self.is_empty or Q.is_empty:
+            return _nothing(n)
+        rows = np.vstack([self.H, Q.H])
+        if n > 2 and (np.count_nonzero(rows, axis=1) > 1).any():
+            if not (self.is_bounded and Q.is_bounded):
+                return self.product(Q).map(np.hstack([np.eye(n), np.eye(n)]))  # p + q for (p, q) in the product
+            one, other = self._exact_vertices, Q._exact_vertices
+            return _hull([tuple(a + b for a, b in zip(p, q)) for p in one for q in other])
+        rows = _distinct(rows)
+        pairs = [[S.exact_maximum(v).value for S in (self, Q)] for v in rows]
+        return _rows_with(rows, [np.inf if any(isinstance(b, float) for b in pair) else sum(pair) for pair in pairs])
+
+    def erode(self, Q):
+        """Pontryagin difference P - Q = {x : x + q in P for all q in Q} = {x : H x <= h - h_Q(H)}.
+
+        Parameters
+        ----------
+        Q : Polytope
+            Nonempty, in the space of P.
+
+        Returns
+        -------
+        Polytope
+            With the rows of P. Empty if Q is unbounded along one of them.
+
+        Raises
+        ------
+        ValueError
+            If Q is no Polytope, lies in another space, or is empty.
+
+        See Also
+        --------
+        sum : the Minkowski sum; (P - Q) + Q lies in P.
+
+        Examples
+        --------
+        >>> P, Q = Polytope.box([0, 0], [4, 4]), Polytope.box([-1, 0], [1, 1])
+        >>> P.erode(Q).equals(Polytope.box([1, 0], [3, 3]))
+        True
+
+        Notes
+        -----
+        Rounded inward: the offsets are the largest floats that are not above h - h_Q(H), which is computed without
+        rounding.
+        """
+        self._require_same_space(Q, "a Pontryagin difference")
+        if Q.is_empty:
+            raise ValueError("Q is empty, so every x would satisfy x + Q in P; erode by a nonempty set")
+        highest = [Q.exact_maximum(v).value for v in self.H]
+        if any(isinstance(value, float) for value in highest):
+            return _nothing(self.dimension)
+        return Polytope(self.H, [below(b - value) for b, value in zip(self.exact[1], highest)])
+
+    def map(self, M, t=None):
+        """Affine image M P + t = {M x + t : x in P}.
+
+        Parameters
+        ----------
+        M : array (m, n)
+            Of any rank.
+        t : array (m,), optional
+            0 if left out.
+
+        Returns
+        -------
+        Polytope
+            In R^m.
+
+        Raises
+        ------
+        ValueError
+            If the sizes of M and t do not match, or if the rank of M is below n and a bounded P has too many rows to
+            enumerate its vertices.
+
+        See Also
+        --------
+        preimage : of a set under a map; project : onto some coordinates.
+
+        Examples
+        --------
+        >>> P = Polytope.box([0, 0], [1, 1])
+        >>> P.map([[1, 1]], [0.5]).equals(Polytope.box([0.5], [2.5]))
+        True
+
+        Notes
+        -----
+        Rounded outward for bounded P. The rows are H M^-1 for an invertible M. For a rank below n they are the facets
+        of the hull of the images of the vertices or, if P is unbounded, what Fourier-Motzkin elimination leaves (slow
+        for many rows). All are computed over the rationals and rounded to nearest. The offset of a row v is
+        h_P(M'v) + v t without rounding, then rounded up. Where v had to be rounded and an unbounded P has no support
+        along it, the offset is that of the row before rounding, and the result is approximate.
+        """
+        M, t = self._affine(M, t, M_columns=True)
+        if self.is_empty:
+            return _nothing(len(M))
+        rows, shift = binary(M), binary(t)
+        if rank(rows) < self.dimension and self.is_bounded:
+            return _hull([tuple(rational.dot(a, x) + b for a, b in zip(rows, shift)) for x in self._exact_vertices])
+        columns, found, values = [*zip(*rows)], [], []
+        for v, b in image(*self.exact, rows):
+            found.append([nearest(entry) for entry in v])
+            near = binary(found[-1])
+            highest = self.exact_maximum([rational.dot(near, column) for column in columns]).value
+            values.append(b + rational.dot(v, shift) if highest == np.inf else highest + rational.dot(near, shift))
+        return _rows_with(np.array(found).reshape(-1, len(M)), values)
+
+    def preimage(self, M, t=None):
+        """Preimage {x : M x + t in P} = {x : H M x <= h - H t}.
+
+        Parameters
+        ----------
+        M : array (n, k)
+            Of any rank; P lies in R^n.
+        t : array (n,), optional
+            0 if left out.
+
+        Returns
+        -------
+        Polytope
+            In R^k, with one row per row of P.
+
+        Raises
+        ------
+        ValueError
+            If the sizes of M and t do not match P.
+
+        See Also
+        --------
+        map : the image.
+
+        Examples
+        --------
+        >>> P = Polytope.box([0], [1])
+        >>> P.preimage([[2, 4]], [-1]).contains([[0.5, 0.125], [0, 0]]).tolist()
+        [True, False]
+
+        Notes
+        -----
+        Approximate: H M and h - H t are computed without rounding, then each number is rounded to the nearest float. It
+        is exact where they are floats, as for small whole numbers or powers of two.
+        """
+        M, t = self._affine(M, t, M_columns=False)
+        H, h = self.exact
+        columns, shift = [*zip(*binary(M))], binary(t)
+        rows = [[nearest(rational.dot(a, column)) for column in columns] for a in H]
+        return Polytope(rows, [nearest(b - rational.dot(a, shift)) for a, b in zip(H, h)])
+
+    def project(self, axes):
+        """Projection {(x_i for i in axes) : x in P} onto some coordinates.
+
+        Parameters
+        ----------
+        axes : sequence of int
+            Different coordinates, from 0 to n - 1, in the order of the result.
+
+        Returns
+        -------
+        Polytope
+            In R^len(axes).
+
+        Raises
+        ------
+        ValueError
+            If axes is empty, repeats a coordinate, or names one that P does not have, or if a bounded P has too many
+            rows to enumerate its vertices.
+
+        Examples
+        --------
+        >>> Polytope.box([0, 1, 2], [1, 2, 3]).project([2, 0]).equals(Polytope.box([2, 0], [3, 1]))
+        True
+
+        Notes
+        -----
+        Rounded outward, and for unbounded P approximate, as `map` says.
+        """
+        axes = [whole_number(axis, "an entry of axes", 0) for axis in np.atleast_1d(axes).tolist()]
+        n = self.dimension
+        if not axes or len({*axes}) < len(axes) or max(axes) >= n:
+            raise ValueError(f"axes must be different coordinates from 0 to {n - 1}, at least one; got {axes}")
+        return self.map(np.eye(n)[axes])
+
+    def _require_same_space(self, Q, operation):
+        """Raise ValueError unless Q is a Polytope in the space of P."""
+        require_kind(Q, Polytope, "Q")
+        if Q.dimension != self.dimension:
+            raise ValueError(f"P lies in R^{self.dimension} but Q in R^{Q.dimension}; {operation} needs one space")
+
+    def _affine(self, M, t, M_columns):
+        """M and t of an affine map as arrays, their sizes checked; P lies where M comes from, or where it leads."""
+        M = real_array(M, "M", 2)
+        if not M.size or M.shape[M_columns] != self.dimension:
+            needed = f"(m, {self.dimension})" if M_columns else f"({self.dimension}, k)"
+            raise ValueError(f"M has shape {M.shape}, but P lies in R^{self.dimension}; give M the shape {needed}")
+        t = np.zeros(len(M)) if t is None else real_array(t, "t", 1)
+        if len(t) != len(M):
+            raise ValueError(f"t has {len(t)} entries but M has {len(M)} rows; each row needs one entry")
+        return M, t
 
     def in_units(self, scale):
         """{x' : scale x' in P}, rows scaled by powers of two to a largest entry above 1/2 and up to 1.
@@ -771,6 +1109,38 @@ class _Plane(NamedTuple):
     row: np.ndarray
     offset: np.ndarray
     unit: np.ndarray
+
+
+def _nothing(n):
+    """The empty set of R^n."""
+    return Polytope(np.zeros((1, n)), [-1.0])
+
+
+def _distinct(H):
+    """The rows of H of which no earlier one is a multiple by a power of two."""
+    return np.array([*{row.tobytes(): row for row in normal_rows(H)[0]}.values()])
+
+
+def _rows_with(rows, values):
+    """{x : rows x <= values}, the values rounded up; rows with a value of inf are left out."""
+    kept = [(row, above(value)) for row, value in zip(rows, values) if not isinstance(value, float)]
+    if not kept:
+        return Polytope(np.zeros((1, rows.shape[1])), [1.0])  # the whole space
+    return Polytope([row for row, _ in kept], [offset for _, offset in kept])
+
+
+def _hull(points):
+    """The convex hull of points of fmpq, rounded outward; flat ones included."""
+    rows = [scaled(v) for v in Frame(points).normals()]
+    found = _touching(_distinct(np.array(rows)), points)
+    if found.is_bounded:
+        return found
+    return found & _touching(box_directions(len(points[0])), points)
+
+
+def _touching(rows, points):
+    """The polytope with the given rows that touches points of fmpq."""
+    return _rows_with(rows, [max(rational.dot(v, x) for x in points) for v in map(binary, rows)])
 
 
 def _float(value, rounding):
