@@ -3,18 +3,18 @@
 import json
 import pickle
 from fractions import Fraction
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from loops import largest
+from loops import largest, solve_exactly
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from test_rational import largest as largest_over_vertices
 
-from mireach import Polytope, box_directions, directions
+from mireach import Polytope, Region, box_directions, directions, rational
 
 small = st.floats(-5, 5, allow_subnormal=False)
 points = arrays(float, st.tuples(st.integers(3, 12), st.just(2)), elements=st.integers(-40, 40).map(lambda k: k / 8))
@@ -385,6 +385,216 @@ def test_hulls_of_points_and_segments_hold_their_ends():
         assert P.is_bounded and P.contains(points).all() and len(P.H) >= 4
 
 
+# -- sums, differences, images ------------------------------------------------------------------------
+
+kinds = pytest.mark.parametrize("kind", ["fat", "flat", "point"])
+units = pytest.mark.parametrize("unit", [0, -40, 40])
+dimensions = pytest.mark.parametrize("n", [1, 2, 3, 4])
+empty_sets = [Polytope([[1.0, 0], [-1, 0]], [0, -1.0]), Polytope([[0.0, 0.0]], [-1.0])]
+
+
+def random_set(rng, n, kind, unit=0):
+    """A bounded set of R^n in units of 2^unit: with an interior, flat, or a point."""
+    if kind == "fat":
+        H = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(2, n))])
+        h = rng.uniform(0.5, 2, len(H))
+    elif kind == "flat":  # one equality, in whole numbers
+        a, x = whole_vector(rng, n, 5), whole_vector(rng, n, 5)
+        H, h = np.vstack([a, -a, np.eye(n), -np.eye(n)]), np.concatenate([[a @ x, -a @ x], x + 1, 1 - x])
+    else:
+        x = whole_vector(rng, n, 5)
+        H, h = np.vstack([np.eye(n), -np.eye(n)]), np.concatenate([x, -x])
+    return Polytope(H, np.ldexp(h, unit))
+
+
+def exact_corners(P):
+    """The vertices of P as Fractions, from all n rows at a time."""
+    H, h = exactly(P.H), exactly(P.h)
+    met = (solve_exactly([H[i] for i in rows], [h[i] for i in rows]) for rows in combinations(range(len(h)), len(H[0])))
+    return {tuple(x) for x in met if x is not None and all(product(a, x) <= b for a, b in zip(H, h))}
+
+
+def product(a, x):
+    return sum(left * right for left, right in zip(a, x))
+
+
+def highest(v, corners):
+    """The support function of the hull of corners, exactly."""
+    return max(product(v, x) for x in corners)
+
+
+def mapped(M, t, corners):
+    """The images of corners, exactly."""
+    M, t = exactly(M), exactly(t)
+    return {tuple(product(a, x) + b for a, b in zip(M, t)) for x in corners}
+
+
+def require_hull(found, corners, rng, unit):
+    """`found` holds every corner without exception, and exceeds their hull by rounding alone, in units of 2^unit."""
+    for v, b in zip(exactly(found.H), exactly(found.h)):
+        assert highest(v, corners) <= b
+    V = np.vstack([rng.normal(size=(6, found.dimension)), np.eye(found.dimension)])
+    expected = (V @ np.array([*corners], float).T).max(axis=1)
+    np.testing.assert_allclose(np.ldexp(found.support(V) - expected, -unit), 0, atol=1e-11)
+
+
+@kinds
+@units
+@dimensions
+def test_sum_is_the_hull_of_all_sums_of_two_vertices(kind, unit, n):
+    rng = np.random.default_rng(n)
+    P, Q = random_set(rng, n, "fat" if n < 4 else "flat", unit), random_set(rng, n, kind, unit)
+    for one, other in ((P, Q), (Q, Q)) if n < 4 else ((Q, Q),):
+        sums = {tuple(map(sum, zip(p, q))) for p in exact_corners(one) for q in exact_corners(other)}
+        require_hull(one.sum(other), sums, rng, unit)
+
+
+@given(polytopes(), polytopes(), rows)
+def test_support_of_a_sum_is_the_sum_of_the_supports(P, Q, V):
+    np.testing.assert_allclose(P.sum(Q).support(V), P.support(V) + Q.support(V), rtol=1e-12, atol=1e-12)
+    assert Q.sum(P).equals(P.sum(Q))
+
+
+@kinds
+@units
+@dimensions
+def test_erosion_has_the_largest_offsets_that_are_not_above_the_difference(kind, unit, n):
+    rng = np.random.default_rng(n)
+    P, Q = random_set(rng, n, "fat", unit), random_set(rng, n, kind, unit)
+    corners = exact_corners(Q)
+    for v, b, found in zip(exactly(P.H), exactly(P.h), P.erode(Q).h):
+        assert Fraction(found) <= b - highest(v, corners) < Fraction(np.nextafter(found, np.inf))
+
+
+@given(polytopes(), polytopes())
+def test_what_is_added_to_a_set_can_be_eroded_again(P, Q):
+    P = P.scale(4, P.chebyshev_centre()[0])
+    back = P.sum(Q).erode(Q)
+    np.testing.assert_allclose(back.support(directions(16)), P.support(directions(16)), rtol=0, atol=1e-10)
+    smaller = P.erode(Q)
+    assert smaller.is_empty or smaller.sum(Q).is_subset(P, tol=1e-13)
+
+
+def test_polytopes_and_regions_have_the_same_sums_and_differences():
+    rng = np.random.default_rng(0)
+    for kind in ("fat", "flat", "point"):
+        P, Q = random_set(rng, 2, "fat").scale(9), random_set(rng, 2, kind)
+        R = Region.of(P)
+        assert R.sum(Q).area == pytest.approx(P.sum(Q).area) and R.erode(Q).area == pytest.approx(P.erode(Q).area)
+
+
+@kinds
+@units
+@pytest.mark.parametrize("sizes", [(1, 1), (2, 2), (3, 3), (1, 3), (2, 3), (3, 2), (2, 4), (4, 1)], ids=str)
+def test_image_is_the_hull_of_the_images_of_the_vertices(kind, unit, sizes):
+    rng = np.random.default_rng(sizes)
+    P, t = random_set(rng, sizes[1], kind, unit), np.ldexp(rng.normal(size=sizes[0]), unit)
+    one, other = rng.integers(-5, 6, (sizes[0], 1)), rng.integers(1, 6, (1, sizes[1]))
+    nearly = one / 3 @ (other / 7)  # of rank one but for rounding
+    for M in (rng.normal(size=sizes), one @ other, nearly, np.zeros(sizes)):
+        require_hull(P.map(M, t), mapped(M, t, exact_corners(P)), rng, unit)
+
+
+@given(polytopes(), arrays(float, (3, 2), elements=small), rows)
+def test_support_of_an_image_is_that_along_the_transposed_map(P, M, V):
+    V = np.column_stack([V, V[:, 0]])
+    np.testing.assert_allclose(P.map(M).support(V), P.support(V @ M), rtol=1e-11, atol=1e-11)
+
+
+@units
+@pytest.mark.parametrize(("n", "k"), [(1, 1), (2, 2), (3, 3), (2, 3), (3, 2), (4, 1)])
+def test_preimage_holds_what_is_mapped_into_the_set(unit, n, k):
+    rng, counts = np.random.default_rng(n), np.zeros(2, int)
+    for _ in range(5):
+        M, t = rng.integers(-4, 5, (n, k)).astype(float), np.ldexp(whole_vector(rng, n, 3), unit)
+        H = np.vstack([np.eye(n), -np.eye(n), rng.integers(-9, 10, (3, n))])
+        P = Polytope(H, np.ldexp(rng.integers(0, 20.0, len(H)), unit))
+        x = np.ldexp(rng.integers(-9, 10, (60, k)).astype(float), unit - 1)
+        inside = P.contains(x @ M.T + t)  # whole and half units: no product is rounded
+        assert (P.preimage(M, t).contains(x) == inside).all() and len(P.preimage(M, t).h) == len(P.h)
+        counts += [inside.sum(), (~inside).sum()]
+    assert (counts > 0).all()
+
+
+@given(polytopes(), arrays(float, (2, 2), elements=small))
+def test_preimage_of_the_image_is_the_set(P, M):
+    if np.linalg.cond(M) < 1e4:
+        back = P.map(M, [1, 2]).preimage(M, [1, 2])
+        np.testing.assert_allclose(back.support(directions(8)), P.support(directions(8)), rtol=0, atol=1e-9)
+
+
+@kinds
+@units
+def test_projection_drops_coordinates(kind, unit):
+    rng = np.random.default_rng(4)
+    P = random_set(rng, 3, kind, unit)
+    for axes in ([1], [2, 0], [0, 1, 2], (1, 2)):
+        require_hull(P.project(axes), {tuple(x[i] for i in axes) for x in exact_corners(P)}, rng, unit)
+
+
+@units
+def test_unbounded_sets_can_be_added_mapped_and_projected(unit):
+    size = 2.0**unit
+    half, strip = Polytope([[1, 0]], [size]), Polytope([[1, 1], [-1, -1]], [size, size])
+    assert half.sum(strip).equals(Polytope([[0, 0]], [1])) and half.sum(half).equals(half.scale(2))
+    assert strip.sum(strip).equals(strip.scale(2)) and strip.map(np.diag([2.0, 0.5])).contains([2 * size, -size / 2])
+    assert strip.map([[1, 1]]).equals(Polytope.box([-size], [size])) and not strip.project([0]).is_bounded
+    assert strip.erode(half).is_empty and half.erode(Polytope([[1, 0]], [0])).equals(half)
+    cylinder = Polytope([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], [size, 0, size, 0])
+    square = Polytope.box([0, 0], [size, size])
+    assert cylinder.project([0, 1]).equals(square) and cylinder.project([1]).equals(Polytope.box([0], [size]))
+    assert cylinder.project([1, 2]).equals(Polytope([[1, 0], [-1, 0]], [size, 0]))
+    cone = Polytope([[1, 0, -1], [-1, 0, -1], [0, 1, -1], [0, -1, -1]], np.zeros(4))  # |x1|, |x2| <= x3
+    lifted = cone.sum(Polytope.from_points(np.ldexp([[0.0, 0, 1], [0, 0, 2], [1, 0, 1], [0, 1, 1]], unit)))
+    V = np.array([[0, 0, -1.0], [1, 0, -1], [0, 1, -1], [-1, 0, -1], [1, 0, 0]])
+    np.testing.assert_allclose(lifted.support(V) / size, [-1, 0, 0, -1, np.inf], atol=1e-14)
+    turned = cone.map([[3, 1, 0], [1, 3, 0], [0, 0, 2]], [0, 0, size])
+    x = size * np.array([[0, 0, 1], [4, 4, 3], [2, -2, 3], [4, 4, 2.9], [2, -2, 2.9]])
+    assert turned.contains(x).tolist() == [True, True, True, False, False]
+
+
+def test_empty_sets_stay_empty():
+    square = Polytope.box([0, 0], [1, 1])
+    for P in empty_sets:
+        made = [P.sum(square), square.sum(P), P.erode(square), P.map(np.eye(3, 2)), P.map([[1, 2]]), P.project([1])]
+        assert all(Q.is_empty for Q in [*made, P.preimage(np.eye(2, 3))])
+        assert [Q.dimension for Q in made] == [2, 2, 2, 3, 1, 1] and P.volume() == 0
+        assert P.equals(empty_sets[0]) and not P.equals(square) and len(made[3].vertices()) == 0
+    assert square.erode(Polytope.box([0, 0], [2, 0])).is_empty
+
+
+def test_equal_sets_may_have_other_rows():
+    P = Polytope.box([0, 0], [1, 2])
+    Q = Polytope(np.vstack([P.H[::-1] * 3, [[1, 1]]]), [*P.h[::-1] * 3, 3])
+    assert P.equals(Q) and Q.equals(P) and P != Q and len({P, Q, P}) == 2
+    assert not P.equals(Polytope.box([0, 0], [1, np.nextafter(2, 3)])) and not P.equals(Polytope.box([0, 0], [1, 1]))
+
+
+@units
+@dimensions
+def test_volume_is_that_of_qhull_and_follows_linear_maps(unit, n):
+    rng = np.random.default_rng(n)
+    P = random_set(rng, n, "fat", unit)
+    size = 2.0 ** (unit * n)
+    corners = np.array([*exact_corners(P)], float)
+    assert P.volume() == pytest.approx(ConvexHull(corners / 2.0**unit).volume * size if n > 1 else np.ptp(corners))
+    M = rng.normal(size=(n, n))
+    assert P.map(M).volume() == pytest.approx(abs(np.linalg.det(M)) * P.volume())
+    assert random_set(rng, n, "point", unit).volume() == 0
+    assert n == 1 or random_set(rng, n, "flat", unit).volume() == 0
+
+
+def test_volume_of_unbounded_sets_needles_and_boxes_far_away():
+    assert Polytope([[1, 0]], [0]).volume() == np.inf and Polytope([[1, 0], [-1, 0]], [0, 0]).volume() == 0
+    assert Polytope([[0, 0]], [0]).volume() == np.inf
+    needle = Polytope(
+        [[1, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0], [0, 0, 1], [0, 0, -1]], [2.0**-50, 0, 1, 0, 1, 0]
+    )
+    assert needle.volume() == pytest.approx(2.0**-51)
+    far = 2.0**40
+    assert Polytope.box([far, far], [far + 0.25, far + 0.5]).volume() == 0.125
+
+
 # -- files and templates ------------------------------------------------------------------------------
 
 
@@ -427,6 +637,18 @@ def test_directions_are_unit_rows_with_exact_axes():
         (lambda: Polytope.from_points(np.zeros((0, 2))), ["points is empty"]),
         (lambda: Polytope.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]), ["no volume", "R^3"]),
         (lambda: directions(2), ["at least 3", "2"]),
+        (lambda: Polytope.box([0], [1]).sum([1]), ["Q must be", "Polytope", "list"]),
+        (lambda: Polytope.box([0], [1]).sum(Polytope.box([0, 0], [1, 1])), ["R^1", "R^2", "Minkowski"]),
+        (lambda: Polytope.box([0], [1]).erode(Polytope.box([0, 0], [1, 1])), ["R^1", "R^2", "Pontryagin"]),
+        (lambda: Polytope.box([0], [1]).erode(Polytope([[1.0], [-1.0]], [0, -1])), ["Q is empty", "nonempty"]),
+        (lambda: Polytope.box([0], [1]).equals(Polytope.box([0, 0], [1, 1])), ["R^1", "R^2"]),
+        (lambda: Polytope.box([0], [1]).map([[1, 2]]), ["M has shape (1, 2)", "R^1", "(m, 1)"]),
+        (lambda: Polytope.box([0], [1]).map([[1]], [1, 2]), ["t has 2", "M has 1"]),
+        (lambda: Polytope.box([0], [1]).preimage([[1], [2]]), ["M has shape (2, 1)", "R^1", "(1, k)"]),
+        (lambda: Polytope.box([0], [1]).preimage(np.zeros((1, 0))), ["M has shape (1, 0)"]),
+        (lambda: Polytope.box([0, 0], [1, 1]).project([0, 2]), ["0 to 1", "[0, 2]"]),
+        (lambda: Polytope.box([0, 0], [1, 1]).project([1, 1]), ["different", "[1, 1]"]),
+        (lambda: Polytope.box([0, 0], [1, 1]).project([]), ["at least one", "[]"]),
     ],
 )
 def test_bad_arguments_are_named(make, words):

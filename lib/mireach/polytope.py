@@ -906,7 +906,8 @@ class Polytope:
         of the hull of the images of the vertices or, if P is unbounded, what Fourier-Motzkin elimination leaves (slow
         for many rows). All are computed over the rationals and rounded to nearest. The offset of a row v is
         h_P(M'v) + v t without rounding, then rounded up. Where v had to be rounded and an unbounded P has no support
-        along it, the offset is that of the row before rounding, and the result is approximate.
+        along it, the offset is that of the row before rounding, and the result is approximate. If M is nearly singular,
+        rounded rows may meet far away; the sides of the bounding box then limit the result.
         """
         M, t = self._affine(M, t, M_columns=True)
         if self.is_empty:
@@ -914,13 +915,19 @@ class Polytope:
         rows, shift = binary(M), binary(t)
         if rank(rows) < self.dimension and self.is_bounded:
             return _hull([tuple(rational.dot(a, x) + b for a, b in zip(rows, shift)) for x in self._exact_vertices])
-        columns, found, values = [*zip(*rows)], [], []
-        for v, b in image(*self.exact, rows):
-            found.append([nearest(entry) for entry in v])
-            near = binary(found[-1])
-            highest = self.exact_maximum([rational.dot(near, column) for column in columns]).value
-            values.append(b + rational.dot(v, shift) if highest == np.inf else highest + rational.dot(near, shift))
-        return _rows_with(np.array(found).reshape(-1, len(M)), values)
+        columns = [*zip(*rows)]
+
+        def highest(v):  # h_P(M'v) + v t
+            value = self.exact_maximum([rational.dot(v, column) for column in columns]).value
+            return value if isinstance(value, float) else value + rational.dot(v, shift)
+
+        exact = image(*self.exact, rows)
+        found = np.array([[nearest(entry) for entry in v] for v, _ in exact]).reshape(-1, len(M))
+        values = [highest(binary(v)) for v in found]
+        if self.is_bounded:
+            return _within_box(_rows_with(found, values), highest)
+        limits = [b + rational.dot(v, shift) for v, b in exact]
+        return _rows_with(found, [limit if value == np.inf else value for limit, value in zip(limits, values)])
 
     def preimage(self, M, t=None):
         """Preimage {x : M x + t in P} = {x : H M x <= h - H t}.
@@ -1131,16 +1138,24 @@ def _rows_with(rows, values):
 
 def _hull(points):
     """The convex hull of points of fmpq, rounded outward; flat ones included."""
-    rows = [scaled(v) for v in Frame(points).normals()]
-    found = _touching(_distinct(np.array(rows)), points)
-    if found.is_bounded:
-        return found
-    return found & _touching(box_directions(len(points[0])), points)
+    rows = _distinct(np.array([scaled(v) for v in Frame(points).normals()]))
+
+    def highest(v):
+        return max(rational.dot(v, x) for x in points)
+
+    return _within_box(_rows_with(rows, [highest(binary(v)) for v in rows]), highest)
 
 
-def _touching(rows, points):
-    """The polytope with the given rows that touches points of fmpq."""
-    return _rows_with(rows, [max(rational.dot(v, x) for x in points) for v in map(binary, rows)])
+def _within_box(found, highest):
+    """A polytope with those sides of a bounding box that it exceeds by more than rounding, as needles do.
+
+    The box is that of the set with the support function `highest`, of rows of fmpq.
+    """
+    rows = box_directions(found.dimension)
+    limits = np.array([above(highest(v)) for v in binary(rows)])
+    size = np.tile(limits.reshape(2, -1).sum(axis=0), 2)
+    wide = found.support(rows) > limits + TOUCH * size
+    return found & Polytope(rows[wide], limits[wide]) if wide.any() else found
 
 
 def _float(value, rounding):
