@@ -14,7 +14,7 @@ from loops import largest, solve_exactly
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from test_rational import largest as largest_over_vertices
 
-from mireach import Polytope, Region, box_directions, directions, rational
+from mireach import Polytope, Region, box_directions, directions
 
 small = st.floats(-5, 5, allow_subnormal=False)
 points = arrays(float, st.tuples(st.integers(3, 12), st.just(2)), elements=st.integers(-40, 40).map(lambda k: k / 8))
