@@ -109,6 +109,23 @@ def test_vertices_of_points_and_segments():
     assert len(Polytope.box([0, 0, 0], [1, 0, 0]).vertices()) == 2
 
 
+@pytest.mark.parametrize("n", [2, 3])
+def test_rows_of_zeros_say_nothing_about_x(n):
+    """0 x <= b holds everywhere for b >= 0 and nowhere for b < 0, whatever else the set is."""
+    rng = np.random.default_rng(n)
+    for b in (0.0, 5e-324, 1e-13, 1.0):
+        for _ in range(20):
+            H, h = rng.integers(-3, 4, (6, n)), rng.integers(0, 3, 6)
+            P = Polytope(np.vstack([H, np.eye(n), -np.eye(n)]), np.concatenate([h, np.full(2 * n, 4)]))
+            Q = Polytope(np.vstack([np.zeros(n), P.H]), np.concatenate([[b], P.h]))
+            V = rng.integers(-3, 4, (5, n))
+            assert Q.equals(P) and not Q.is_empty and Q.contains(P.vertices(), tol=1e-9).all()
+            assert [Q.exact_maximum(v).value for v in V] == [P.exact_maximum(v).value for v in V]
+            np.testing.assert_allclose([Q.support(V), Q.bound(V)], [P.support(V)] * 2, atol=1e-12)
+            assert Q.is_subset(P.scale(2)) == P.is_subset(P.scale(2))
+            assert Polytope(Q.H, np.concatenate([[-b or -1e-300], P.h])).is_empty
+
+
 # -- inclusion, intersection, scaling -----------------------------------------------------------------
 
 

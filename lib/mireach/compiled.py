@@ -272,7 +272,7 @@ def _tight_pair(v0, v1, local, row, offset):
     x, y = local[best, 0], local[best, 1]
     before, after, i, j = -np.inf, np.inf, -1, -1
     for r in range(len(offset)):
-        if abs(row[r, 0] * x + row[r, 1] * y - offset[r]) > 1e-10 * (1 + abs(x) + abs(y)):
+        if abs(row[r, 0] * x + row[r, 1] * y - offset[r]) > 1e-10 * (1 + abs(x) + abs(y)) or not row[r].any():
             continue
         angle = np.arctan2(v0 * row[r, 1] - v1 * row[r, 0], v0 * row[r, 0] + v1 * row[r, 1])
         if angle <= 0 and (angle > before or (angle == before and offset[r] < offset[i])):
