@@ -41,7 +41,7 @@ TASKS = {
     "app": [str(ROOT / "notebooks" / "app.py")],
     "exercises": [str(ROOT / "notebooks" / "exercises" / "release.py")],
     "notebooks": [str(ROOT / "notebooks" / "build.py")],
-    "verify": [str(ROOT / "lib" / "mireach" / "checker.py")],
+    "verify": [str(ROOT / "lib" / "mireach" / "certificate" / "checker.py")],
     "bench": [str(ROOT / "benchmarks" / "run.py")],
 }
 

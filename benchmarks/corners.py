@@ -12,10 +12,10 @@ import numpy as np
 from joblib import Parallel, delayed
 
 import mireach as mr
-from mireach.case_studies import data_file
-from mireach.datasets import DataSet
-from mireach.plants import INTEGRATOR_INPUT_LIMIT
-from mireach.seeds import train_case
+from mireach.learning.datasets import DataSet
+from mireach.studies.case_studies import data_file
+from mireach.studies.seed_study import train_case
+from mireach.systems.plants import INTEGRATOR_INPUT_LIMIT
 
 NAME = "double_integrator"
 

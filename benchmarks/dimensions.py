@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 import mireach as mr
-from mireach.case_studies import load_sets
+from mireach.studies.case_studies import load_sets
 
 CASES = ("three_tanks", "four_tanks")
 SAMPLES = 100_000

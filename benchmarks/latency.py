@@ -14,7 +14,7 @@ from time import perf_counter
 import nbformat
 import numpy as np
 
-from mireach import lab
+from mireach.lab import model as lab
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import browser

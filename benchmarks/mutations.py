@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mireach import checker
+from mireach.certificate import checker
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))

@@ -11,8 +11,8 @@ from omlt.neuralnet import FullSpaceNNFormulation, NetworkDefinition
 from omlt.neuralnet.layer import DenseLayer, InputLayer
 from pyomo.contrib.solver.solvers.highs import Highs
 
-from mireach.engines.formulation import disturbance_box
-from mireach.lp import GAP, MIP_TOLERANCE, TOLERANCE
+from mireach.engines.milp.formulation import disturbance_box
+from mireach.solvers.linear_program import GAP, MIP_TOLERANCE, TOLERANCE
 
 OPTIONS = {
     "mip_feasibility_tolerance": MIP_TOLERANCE,

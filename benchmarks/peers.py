@@ -21,8 +21,8 @@ import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix
 
 import mireach as mr
-from mireach.engines import milp
-from mireach.lp import GAP, MIP_TOLERANCE
+from mireach.engines.milp import engine as milp
+from mireach.solvers.linear_program import GAP, MIP_TOLERANCE
 
 FOLDER = Path(__file__).resolve().parent / ".peers"
 PACKAGES = {

@@ -22,9 +22,10 @@ import peers
 from growth import seconds
 
 import mireach as mr
-from mireach import case_studies, planar
+from mireach import case_studies
+from mireach.analysis import planar
 from mireach.engines import cells, exact
-from mireach.units import own_units
+from mireach.engines.units import own_units
 
 PARTS = ("rooms", "peers", "wide", "growth", "dimensions")
 

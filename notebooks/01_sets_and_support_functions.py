@@ -27,8 +27,9 @@ import numpy as np
 from scipy.optimize import linprog
 
 import mireach as mr
-from mireach import plotting, widgets
-from mireach.plants import pwa_plant
+from mireach import plotting
+from mireach.lab import step_viewer
+from mireach.systems.plants import pwa_plant
 
 # %% [markdown]
 # ## 1. A polytope is a list of half-planes
@@ -300,7 +301,7 @@ plt.show()
 # The same with a slider (it needs a running kernel; without one, the figure above is what there is to see):
 
 # %%
-widgets.step_viewer(draw_step, len(boxes))
+step_viewer(draw_step, len(boxes))
 
 # %% [markdown]
 # So a template is a design parameter, and a poor one can hide what is there. The second case study of the paper:

@@ -356,7 +356,7 @@ for factor in (1, 1e3, 1e6, 1e7, 1e8):
 # nine binaries more; notebook 03 is about these).
 
 # %%
-from mireach.engines import milp
+from mireach.engines.milp import engine as milp
 
 loop = mr.case_study("double_integrator").loop
 half = loop.system.state_set.scale(0.5)

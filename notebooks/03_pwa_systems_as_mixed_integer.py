@@ -29,8 +29,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mireach as mr
-from mireach.plants import pwa_plant
 from mireach.plotting import BLACK, BLUE, GREEN, GREY, ORANGE, RED, draw_regions, draw_set, label_axes
+from mireach.systems.plants import pwa_plant
 
 # %% [markdown]
 # ## 1. The system

@@ -30,9 +30,9 @@ import numpy as np
 
 import mireach as mr
 from mireach.engines.cells import cells
-from mireach.engines.model import model
+from mireach.engines.cvxpy_model import model
+from mireach.lab import step_viewer
 from mireach.plotting import BLACK, BLUE, GREEN, GREY, RED, draw_regions, draw_set, label_axes
-from mireach.widgets import step_viewer
 
 case = mr.case_study("pwa")
 loop, system, X = case.loop, case.system, case.system.state_set
@@ -164,9 +164,9 @@ print("h along (1, 0), (0, 1), (-1, 0), (0, -1):", np.round(h_both[::2], 2))
 # $$c_k^*(v, \mathcal{F}) = \max\; v\, x(k) \quad\text{s.t. the constraints of Lemma 1 and } x(0) \in \mathcal{F},
 #   \qquad c_k^*(v, \mathcal{F}) = h_{\mathcal{R}_k^{\mathcal{D}}(\mathcal{F})}(v).$$
 #
-# `mireach.engines.model.model` is that MILP, written line by line as in this notebook but with a computed big-$M$ for
-# every row. We go back to the paper's disturbance $|d|_\infty \le 0.15$ and ask for one step from a small box that
-# lies across the border of modes 2 and 3.
+# `mireach.engines.cvxpy_model.model` is that MILP, written line by line as in this notebook but with a computed
+# big-$M$ for every row. We go back to the paper's disturbance $|d|_\infty \le 0.15$ and ask for one step
+# from a small box that lies across the border of modes 2 and 3.
 
 # %% tags=["nbval-check-output"]
 F = mr.Polytope.box([-1, -8], [1, -6])

@@ -29,9 +29,9 @@ import torch
 from matplotlib.tri import Triangulation
 
 import mireach as mr
-from mireach.mpc import solve_miqp
+from mireach.learning.mpc import solve_miqp
+from mireach.learning.training import LEAK, train
 from mireach.plotting import BLACK, BLUE, GREEN, GREY, ORANGE, RED, draw_regions, label_axes, legend_above
-from mireach.training import LEAK, train
 
 torch.set_num_threads(1)
 case = mr.case_study("pwa")

@@ -32,7 +32,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mireach as mr
-from mireach import plotting, widgets
+from mireach import plotting
+from mireach.lab import step_viewer
 
 case = mr.case_study("pwa")
 loop, X, U = case.loop, case.system.state_set, case.system.input_set
@@ -196,7 +197,7 @@ plt.show()
 
 # %%
 failed_images = [mr.outer_step(rough, F, C_box) for F in failed.history]
-widgets.step_viewer(lambda ax, k: draw_iteration(ax, k, failed.history, failed_images), len(failed.history))
+step_viewer(lambda ax, k: draw_iteration(ax, k, failed.history, failed_images), len(failed.history))
 
 # %% [markdown]
 # The lower left *corner* of the box is to blame: one step from there may lead below $x_2 = -10$. That is what the
@@ -289,7 +290,7 @@ def draw_step(ax, k):
     ax.set_title(rf"$\overline{{\mathcal{{R}}}}_{{{k}}}$")
 
 
-widgets.step_viewer(draw_step, len(terminal.history))
+step_viewer(draw_step, len(terminal.history))
 
 # %% [markdown]
 # How the sequence settles, in numbers: on the left the supports $h_{\overline{\mathcal{R}}_k}(C_i)$, on the right by

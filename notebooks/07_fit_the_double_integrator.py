@@ -35,7 +35,7 @@ import numpy as np
 
 import mireach as mr
 from mireach import plotting
-from mireach.case_studies import double_integrator_fit
+from mireach.studies.case_studies import double_integrator_fit
 
 case = mr.case_study("double_integrator")
 plant, X, U = case.plant, case.system.state_set, case.system.input_set

@@ -33,8 +33,8 @@ import torch
 
 import mireach as mr
 from mireach import plotting
-from mireach.mpc import NonlinearMPC
-from mireach.training import train
+from mireach.learning.mpc import NonlinearMPC
+from mireach.learning.training import train
 
 torch.set_num_threads(1)  # small networks gain nothing from more
 case = mr.case_study("double_integrator")

@@ -32,8 +32,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mireach as mr
-from mireach import plotting, widgets
-from mireach.case_studies import double_integrator_fit
+from mireach import plotting
+from mireach.lab import step_viewer
+from mireach.studies.case_studies import double_integrator_fit
 
 case = mr.case_study("double_integrator")
 plant, network, loop, data = case.plant, case.network, case.loop, case.data
@@ -92,7 +93,7 @@ plt.show()
 # the left, while its right-hand side does not move at all. All steps, with the slider (it needs a running kernel):
 
 # %%
-widgets.step_viewer(lambda ax, k: plotting.plot_step(ax, safe.history, k), len(safe.history))
+step_viewer(lambda ax, k: plotting.plot_step(ax, safe.history, k), len(safe.history))
 
 # %% [markdown]
 # ### Which facet holds up the end, and why?
@@ -188,7 +189,7 @@ for count in (4, 8, 12, 16):
     print(f"{count:2d} directions: {found.verdict:8s} k = {found.iterations}")
 
 # %%
-widgets.step_viewer(draw_attaining, len(safe.history), size=(6.5, 4.0))
+step_viewer(draw_attaining, len(safe.history), size=(6.5, 4.0))
 
 # %% [markdown]
 # ## 3. The terminal set
@@ -223,9 +224,7 @@ plt.show()
 # approach to the limit. With the slider, or in numbers:
 
 # %%
-widgets.step_viewer(
-    lambda ax, k: plotting.plot_step(ax, terminal.history, k, r"\overline{\mathcal{R}}"), len(terminal.history)
-)
+step_viewer(lambda ax, k: plotting.plot_step(ax, terminal.history, k, r"\overline{\mathcal{R}}"), len(terminal.history))
 
 
 # %%

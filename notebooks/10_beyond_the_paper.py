@@ -37,9 +37,9 @@ from scipy.stats import spearmanr
 
 import mireach as mr
 from mireach import plotting
-from mireach.case_studies import PAPER, data_file, double_integrator_fit
 from mireach.engines.cells import cells
-from mireach.seeds import load_networks, load_rows
+from mireach.studies.case_studies import PAPER, data_file, double_integrator_fit
+from mireach.studies.seed_study import load_networks, load_rows
 
 cases = {name: mr.case_study(name) for name in ("pwa", "double_integrator")}
 safe = {name: mr.safe_set(case.loop, case.safe_directions) for name, case in cases.items()}
@@ -521,7 +521,7 @@ plt.show()
 # case.) Below we look for what moves the 19.
 #
 # The dotted lines are no random draw: of the networks that fit about as well as the best, `mireach` ships the one whose
-# figures are nearest to the paper's (`mireach.seeds.choose`).
+# figures are nearest to the paper's (`mireach.studies.seed_study.choose`).
 #
 # ### Does a smaller loss mean a better certificate?
 
@@ -756,8 +756,9 @@ forged["sets"][0][top] = 8.0
 print(mr.certificate.verify(folder / "forged.json"))
 
 # %% [markdown]
-# A better forger makes the digest anew, `mireach.checker.digest` tells how. Then only the mathematics is left, and it
-# answers with a step out of the set, which anybody can replay: $x$ lies in the forged set, its successor does not.
+# A better forger makes the digest anew, `mireach.certificate.checker.digest` tells how. Then only the mathematics is
+# left, and it answers with a step out of the set, which anybody can replay: $x$ lies in the
+# forged set, its successor does not.
 
 # %% tags=["nbval-check-output"]
 report = mr.certificate.verify(folder / "forged.json", ignore_digest=True)
@@ -793,7 +794,7 @@ print(f"\nreplayed: {x} -> {paper_case.loop.step(x, d).round(6)}, and x2 should 
 #
 # - Find the bounds on $|d|_\infty$ for which the shipped network needs exactly 19 iterations.
 # - Of the networks without a safe set: does a small change cure them? Add states in the upper right corner with
-#   $u = -2$ to the data, and train again (`mireach.training.train`).
+#   $u = -2$ to the data, and train again (`mireach.learning.training.train`).
 # - Repeat the table with `mr.directions(32)`. When does it stop to pay?
 # - Forge the certificate so that it is still proven: which sets can be changed, and in which direction? What may you do
 #   to the weights of the network?

@@ -29,7 +29,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mireach import lab, plotting, widgets
+from mireach import lab, plotting
 
 # %% [markdown] tags=["course"]
 # `lab.subject` says what may be varied, `lab.look` computes everything for one choice of settings. The pictures below
@@ -68,7 +68,7 @@ small_multiples(pwa, [(rf"$\|d\|_\infty \leq {bound}$", {"amount": bound}) for b
 # larger disturbance reaches more.
 
 # %%
-widgets.DisturbanceLab("pwa")
+lab.DisturbanceLab("pwa")
 
 # %% [markdown] tags=["course"]
 # ### The largest disturbance, by bisection
@@ -119,7 +119,7 @@ small_multiples(integrator, choices)
 # $\mathcal{F}_{\max}$ any more, the maximal set is often still there.
 
 # %%
-widgets.DisturbanceLab("double_integrator")
+lab.DisturbanceLab("double_integrator")
 
 # %% tags=["course", "nbval-check-output"]
 print("largest multiple of the proven error for which F_max is found, 8 directions")
@@ -140,7 +140,7 @@ for regions in (2, 3, 4):
 # lines of Python that compute the same sets without the lab. From Python:
 
 # %% tags=["course", "nbval-check-output"]
-mine = widgets.DisturbanceLab("pwa", amount=0.1, safe_directions=8)
+mine = lab.DisturbanceLab("pwa", amount=0.1, safe_directions=8)
 print(mine.script())
 
 # %% tags=["course", "nbval-check-output"]
@@ -149,7 +149,7 @@ exec(mine.script(), again)
 print("the same set:", np.array_equal(again["terminal"].set.h, mine.look.terminal.set.h))
 
 # %% [markdown] tags=["course"]
-# A loop of your own gets a lab in the same way: `widgets.DisturbanceLab(loop)` scales whatever disturbance sets the
+# A loop of your own gets a lab in the same way: `lab.DisturbanceLab(loop)` scales whatever disturbance sets the
 # modes have. Exercise: bring the loop of notebook 11.
 #
 # ## What you saw

@@ -28,10 +28,10 @@ import numpy as np
 
 import mireach as mr
 from mireach import plotting
-from mireach.case_studies import data_file
+from mireach.analysis.planar import carried_out
 from mireach.engines import steps
-from mireach.planar import carried_out
-from mireach.seeds import load_rows
+from mireach.studies.case_studies import data_file
+from mireach.studies.seed_study import load_rows
 
 cases = {name: mr.case_study(name) for name in ("pwa", "double_integrator")}
 safe = {name: mr.safe_set(case.loop, case.safe_directions) for name, case in cases.items()}

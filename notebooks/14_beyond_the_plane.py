@@ -28,7 +28,7 @@ import numpy as np
 
 import mireach as mr
 from mireach import plotting
-from mireach.case_studies import data_file, load_sets
+from mireach.studies.case_studies import data_file, load_sets
 
 tanks = mr.case_study("three_tanks")
 print(tanks)
@@ -202,6 +202,6 @@ for k in (1, 2, 3):
 #
 # - Johansson, *The quadruple-tank process*, IEEE Transactions on Control Systems Technology 8(3), 2000.
 # - Bemporad, Morari, *Control of systems integrating logic, dynamics, and constraints*, Automatica 35, 1999.
-# - `mireach.plants` says what of the two systems is taken from where, and what is our choice.
+# - `mireach.systems.plants` says what of the two systems is taken from where, and what is our choice.
 #
 # This is the last notebook. To go back to the paper's claims, run `python3 run.py reproduce`.

@@ -20,8 +20,7 @@ import shapely
 from loops import enclosing_inputs, exact_input, random_loop
 
 import mireach as mr
-from mireach import checker
-from mireach.certificate import make
+from mireach.certificate import checker, make
 from mireach.engines import exact
 
 SAMPLES = 3  # corners, and random states, that are replayed for one image
@@ -588,7 +587,7 @@ class Oracle:
             U = mr.Polytope.box(*enclosing_inputs(self.network, mr.Polytope.box(*self.X.bounding_box())))
             if len(_LOOPS) > 20:
                 _LOOPS.clear()
-            with patch("mireach.system._check_partition"):
+            with patch("mireach.systems.pwa._check_partition"):
                 system = mr.PWASystem(
                     [mr.Mode(A, B, p, region or everywhere, D) for A, B, p, region, D in modes], self.X, U
                 )

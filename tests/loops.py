@@ -151,6 +151,17 @@ def largest(c, A, b):
     return np.inf if found.status == 3 else -found.fun
 
 
+def highest_vertex(H, h, c):
+    """max c x over the vertices of {x : H x <= h} in fractions, or None if there is no vertex."""
+    best = None
+    for chosen in combinations(range(len(h)), len(c)):
+        x = solve_exactly([[*map(Fraction, H[i])] for i in chosen], [Fraction(h[i]) for i in chosen])
+        if x is not None and all(sum(a * y for a, y in zip(row, x)) <= b for row, b in zip(H, h)):
+            value = sum(a * y for a, y in zip(c, x))
+            best = value if best is None else max(best, value)
+    return best
+
+
 def brute_support(loop, F, V, steps=1):
     """h of R_k(F) along V: one LP for every choice of modes and winning channels that is possible at all.
 

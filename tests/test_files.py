@@ -9,12 +9,13 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mireach import MaxoutNetwork, case_studies, seeds
-from mireach.case_studies import NAMES, PAPER, data_file, load_sets
-from mireach.datasets import DataSet
+from mireach import MaxoutNetwork, case_studies
 from mireach.errors import CorruptFileError, MireachError
 from mireach.files import PART, read_json, write_json, write_whole
-from mireach.seeds import load_networks, load_rows
+from mireach.learning.datasets import DataSet
+from mireach.studies import seed_study as seeds
+from mireach.studies.case_studies import NAMES, PAPER, data_file, load_sets
+from mireach.studies.seed_study import load_networks, load_rows
 
 
 def test_text_and_bytes_are_written_in_new_folders(tmp_path):

@@ -34,8 +34,8 @@ for name in ("pwa", "double_integrator"):
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    static = ROOT / "lib" / "mireach" / "static"
-    assert {path.name for path in (tmp_path / "site" / "mireach" / "static").iterdir()} == {
+    static = ROOT / "lib" / "mireach" / "lab" / "static"
+    assert {path.name for path in (tmp_path / "site" / "mireach" / "lab" / "static").iterdir()} == {
         path.name for path in static.iterdir()
     }
 
@@ -43,7 +43,7 @@ for name in ("pwa", "double_integrator"):
 COMPILE = """
 import mireach
 import numpy as np
-from mireach.compiled import _most  # the smallest of the compiled functions
+from mireach.sets.kernels import _most  # the smallest of the compiled functions
 assert _most(np.array([0, 3, 8])) == 5
 print(mireach.__file__)
 """
@@ -75,7 +75,7 @@ def run_compiled(package, before=""):
 @pytest.mark.parametrize("foreign", [None, "file", "open", "link"])
 def test_package_works_where_neither_its_folder_nor_the_home_can_be_written(package, foreign):
     folder, temporary, _ = package
-    (folder / "__pycache__").touch()  # a file, in which no user can write compiled code
+    (folder / "sets" / "__pycache__").touch()  # a file, in which no user can write compiled code
     private = temporary / f"mireach-{os.getuid()}"
     if foreign == "file":
         private.touch()
@@ -86,7 +86,7 @@ def test_package_works_where_neither_its_folder_nor_the_home_can_be_written(pack
         private.mkdir()
         private.chmod(0o777)
     run_compiled(package)
-    assert (folder / "__pycache__").is_file()
+    assert (folder / "sets" / "__pycache__").is_file()
     assert bool([*private.rglob("*.nbc"), *temporary.rglob("*.nbc")]) == (foreign is None)
     if foreign is None:
         assert private.stat().st_mode & 0o777 == 0o700
@@ -97,7 +97,7 @@ def test_package_works_where_compiled_code_cannot_be_kept_or_read(package):
     pytest.importorskip("resource")  # a limit of the size of files stands for a full disk
     limit = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
     run_compiled(package, f"{limit}resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))\n")
-    kept = package[0] / "__pycache__"
+    kept = package[0] / "sets" / "__pycache__"
     assert not list(kept.glob("*.nbc"))
     run_compiled(package)
     files = [*kept.glob("*.nbi"), *kept.glob("*.nbc")]

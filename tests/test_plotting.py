@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 import mireach as mr
 from mireach import plotting
-from mireach.seeds import SeedRow
+from mireach.studies.seed_study import SeedRow
 
 
 @pytest.fixture

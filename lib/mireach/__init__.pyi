@@ -1,10 +1,7 @@
 """The public names: what each module provides. They are imported on first use."""
 
-from . import approximation, case_studies, certificate, errors, invariance, planar
-from .approximation import fit_pwa, prove_error
-from .case_studies import case_study
-from .errors import CorruptFileError, MireachError, SolverError, SolverStopped
-from .invariance import (
+from . import approximation, certificate, errors
+from .analysis.invariance import (
     check_rpi,
     contraction,
     safe_set,
@@ -12,13 +9,17 @@ from .invariance import (
     terminal_set,
     ultimately_bounded,
 )
-from .loop import ClosedLoop
-from .network import Layer, MaxoutNetwork
-from .planar import attractor, exact_reach, largest_disturbance, maximal_safe_set, prove_rpi
-from .polytope import Polytope, box_directions, directions
-from .reach import outer_reach, outer_step, support
-from .region import Region
-from .system import Mode, NonlinearSystem, PWASystem
+from .analysis.planar import attractor, exact_reach, largest_disturbance, maximal_safe_set, prove_rpi
+from .analysis.reach import outer_reach, outer_step, support
+from .approximation.fit import fit_pwa, prove_error
+from .errors import CorruptFileError, MireachError, SolverError, SolverStopped
+from .sets.polytope import Polytope, box_directions, directions
+from .sets.region import Region
+from .studies import case_studies
+from .studies.case_studies import case_study
+from .systems.loop import ClosedLoop
+from .systems.network import Layer, MaxoutNetwork
+from .systems.pwa import Mode, NonlinearSystem, PWASystem
 
 __all__ = [
     "ClosedLoop",
@@ -45,12 +46,10 @@ __all__ = [
     "errors",
     "exact_reach",
     "fit_pwa",
-    "invariance",
     "largest_disturbance",
     "maximal_safe_set",
     "outer_reach",
     "outer_step",
-    "planar",
     "prove_error",
     "prove_rpi",
     "safe_set",

@@ -3,9 +3,9 @@
 import argparse
 import sys
 
-from . import checker
-from .case_studies import NAMES, PAPER
+from .certificate import checker
 from .errors import MireachError
+from .studies.case_studies import NAMES, PAPER
 
 
 def main(arguments=None):
@@ -50,7 +50,7 @@ def main(arguments=None):
 
 
 def _reproduce(options):
-    from .report import reproduce
+    from .studies.report import reproduce
 
     check = None if options.no_cross_check else "milp"
     places = options.results, options.figures, options.certificates
@@ -61,14 +61,14 @@ def _reproduce(options):
 
 
 def _train(options):
-    from .seeds import retrain
+    from .studies.seed_study import retrain
 
     print(retrain(options.case, options.seed, options.output, progress=not options.quiet))
     return 0
 
 
 def _seeds(options):
-    from .seeds import make_study, reanalyse
+    from .studies.seed_study import make_study, reanalyse
 
     if options.analyse_only:
         print(reanalyse(options.case, options.jobs, options.output, not options.quiet))

@@ -11,7 +11,7 @@ from pathlib import PurePath
 import numpy as np
 
 from .files import write_whole
-from .region import Region
+from .sets.region import Region
 
 try:
     from matplotlib import rc_context

@@ -5,11 +5,12 @@ import pytest
 from loops import random_loop, random_network
 
 from mireach import Polytope, directions, safe_set
-from mireach.engines import exact, milp
+from mireach.engines import exact
 from mireach.engines.bounds import upper_bound
-from mireach.engines.boxes import Boxes, bound_loop
-from mireach.engines.formulation import add_network
-from mireach.lp import LinearProgram
+from mireach.engines.milp import engine as milp
+from mireach.engines.milp.boxes import Boxes, bound_loop
+from mireach.engines.milp.formulation import add_network
+from mireach.solvers.linear_program import LinearProgram
 
 ROUNDING = 1e-9
 

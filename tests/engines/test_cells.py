@@ -30,7 +30,7 @@ from mireach import (
 )
 from mireach.engines import exact
 from mireach.engines.cells import CORNER, cells, support
-from mireach.plants import chessboard
+from mireach.systems.plants import chessboard
 
 V = np.vstack([directions(5), [[-5, 1]]])
 SETS = {

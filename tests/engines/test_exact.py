@@ -8,8 +8,8 @@ import shapely
 from loops import affine_loop, assert_escapes, brute_support, exact_input, exactly_inside, jump_loop, random_loop
 
 import mireach as mr
+from mireach.arithmetic.rational import binary
 from mireach.engines import cells, exact, steps
-from mireach.rational import binary
 
 SHRUNK = 0.7  # F of the random questions, as a share of X
 
@@ -82,7 +82,7 @@ def test_a_state_outside_of_x_is_a_witness_by_itself():
 @pytest.fixture
 def gaps_allowed(monkeypatch):
     """Systems whose regions leave gaps, which PWASystem refuses: the exact engine must not rely on that."""
-    monkeypatch.setattr("mireach.system._check_partition", lambda *_: None)
+    monkeypatch.setattr("mireach.systems.pwa._check_partition", lambda *_: None)
 
 
 def test_a_gap_between_regions_is_noticed_however_narrow(gaps_allowed):

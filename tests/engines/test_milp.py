@@ -31,11 +31,12 @@ from mireach import (
     safe_set,
     terminal_set,
 )
-from mireach.engines import cells, exact, milp
+from mireach.engines import cells, exact
+from mireach.engines.base import COUNTED, SOLVER
 from mireach.engines.bounds import lower_bound, upper_bound
-from mireach.engines.common import COUNTED, SOLVER
+from mireach.engines.milp import engine as milp
 from mireach.errors import SolverError, SolverStopped
-from mireach.lp import LinearProgram
+from mireach.solvers.linear_program import LinearProgram
 
 V = directions(4)
 EVERYTHING = {n: Polytope.box(-9 * np.ones(n), 9 * np.ones(n)) for n in (1, 2, 3)}

@@ -8,7 +8,8 @@ from fuzz import CLOSE, some_loop
 from loops import jump_loop, random_loop
 
 from mireach import Polytope, directions
-from mireach.engines import cells, exact, milp
+from mireach.engines import cells, exact
+from mireach.engines.milp import engine as milp
 
 
 def needle(rng, tip, w):

@@ -17,9 +17,9 @@ from loops import (
 
 import mireach as mr
 from mireach import Polytope
-from mireach.engines.common import Witness
+from mireach.arithmetic.rational import fractions, rational
+from mireach.engines.base import Witness
 from mireach.engines.steps import Escape, attained, farthest_step, successor
-from mireach.rational import fractions, rational
 
 
 def in_fractions(loop, witness):

@@ -6,8 +6,8 @@ from helpers import expect_hint
 
 import mireach as mr
 from mireach.exercises import ex05
-from mireach.mpc import solve_miqp
-from mireach.plants import pwa_plant
+from mireach.learning.mpc import solve_miqp
+from mireach.systems.plants import pwa_plant
 
 torch = pytest.importorskip("torch")
 

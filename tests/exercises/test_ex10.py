@@ -5,8 +5,8 @@ import pytest
 from helpers import expect, expect_hint, run_source
 
 import mireach as mr
+from mireach.analysis.planar import carried_out
 from mireach.exercises import ex10
-from mireach.planar import carried_out
 
 
 @pytest.fixture(scope="module")

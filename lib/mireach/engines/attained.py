@@ -9,13 +9,13 @@ from time import perf_counter
 
 import numpy as np
 
-from .. import rational
-from ..balls import flint
+from ..arithmetic import rational
+from ..arithmetic.balls import flint
 from ..errors import SolverError
-from ..lp import LinearProgram
-from ..polytope import Polytope
+from ..sets.polytope import Polytope
+from ..solvers.linear_program import LinearProgram
+from .base import Witness
 from .bounds import far_points
-from .common import Witness
 
 INWARD = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4)  # shares of the way to a centre by which a state is moved, one after another
 CORNERS = 12  # of the set where trajectories start, towards which other pieces are looked for

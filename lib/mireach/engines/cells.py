@@ -12,11 +12,11 @@ from math import inf, nextafter
 
 import numpy as np
 
-from ..compiled import affine_pieces, highest, parts, sharp_pairs
-from ..lp import LinearProgram
-from ..polygons import Polygons
-from ..polytope import Polytope, box_directions
-from .common import Lazily, Support, checked_query, empty_support, replay
+from ..sets.kernels import affine_pieces, highest, parts, sharp_pairs
+from ..sets.polygons import Polygons
+from ..sets.polytope import Polytope, box_directions
+from ..solvers.linear_program import LinearProgram
+from .base import Lazily, Support, checked_query, empty_support, replay
 
 TOUCH = 1e-11  # closed sets that come this close touch (relative to the size of X)
 ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this (in the units of the loop) ...

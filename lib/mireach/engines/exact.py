@@ -10,10 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..balls import flint
-from ..polytope import Polytope
-from ..rational import above, binary, dot, fractions, maximize, nearest
-from .common import EXACT, Lazily, Support, checked_query, empty_support, replay
+from ..arithmetic.balls import flint
+from ..arithmetic.rational import above, binary, dot, fractions, maximize, nearest
+from ..sets.polytope import Polytope
+from .base import EXACT, Lazily, Support, checked_query, empty_support, replay
 from .steps import Escape, Step, with_bias
 
 AROUND = 2.0**-40  # boxes that sort out what cannot meet are this much larger (relative), for they are floats

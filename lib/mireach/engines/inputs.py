@@ -7,10 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..loop import input_message
-from ..rational import binary, nearest
-from ..units import own_units
-from . import cells, exact, milp
+from ..arithmetic.rational import binary, nearest
+from ..systems.loop import input_message
+from . import cells, exact
+from .milp import engine as milp
+from .units import own_units
 
 CLEAR = 1e-9  # an excess of floats above this is one (relative to the size of U); below, exact arithmetic decides
 

@@ -9,9 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..balls import flint
-from ..rational import binary, dot, fractions, maximize, nearest, rational, strict_point
-from .common import replay
+from ..arithmetic.balls import flint
+from ..arithmetic.rational import binary, dot, fractions, maximize, nearest, rational, strict_point
+from .base import replay
 
 INWARD = 2.0**-30  # share of the way to the middle of a set by which a state is moved, for rounding to be far below
 PULLS = 2.0 ** np.arange(-54, -9, 4)  # shares of the way to the middle of a cell that a rounded state is moved

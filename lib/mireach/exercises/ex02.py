@@ -4,8 +4,8 @@ from itertools import product
 
 import numpy as np
 
-from ..network import Layer, MaxoutNetwork
-from ..polytope import Polytope
+from ..sets.polytope import Polytope
+from ..systems.network import Layer, MaxoutNetwork
 from .common import Wrong, require, require_array, require_filled
 
 TOL = 1e-9  # for numbers that differ by rounding only

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..plants import pwa_plant
-from ..polytope import Polytope
-from ..system import Mode, PWASystem
+from ..sets.polytope import Polytope
+from ..systems.plants import pwa_plant
+from ..systems.pwa import Mode, PWASystem
 from .common import Wrong, require, require_array, require_filled
 
 TOL = 1e-9  # for numbers that differ by rounding only

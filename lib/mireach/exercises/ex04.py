@@ -4,15 +4,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..case_studies import case_study
-from ..engines.model import model
-from ..invariance import check_rpi
-from ..loop import ClosedLoop
-from ..network import Layer, MaxoutNetwork
-from ..plants import chessboard, pwa_plant
-from ..polytope import Polytope, box_directions
-from ..reach import outer_step, support
-from ..system import Mode, PWASystem
+from ..analysis.invariance import check_rpi
+from ..analysis.reach import outer_step, support
+from ..engines.cvxpy_model import model
+from ..sets.polytope import Polytope, box_directions
+from ..studies.case_studies import case_study
+from ..systems.loop import ClosedLoop
+from ..systems.network import Layer, MaxoutNetwork
+from ..systems.plants import chessboard, pwa_plant
+from ..systems.pwa import Mode, PWASystem
 from .common import Wrong, require, require_array
 
 TOL = 1e-7  # for numbers that differ by rounding only; all data here are of size 10

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ..case_studies import case_study
 from ..engines.cells import cells
-from ..loop import ClosedLoop
-from ..mpc import solve_miqp
-from ..network import Layer, MaxoutNetwork
-from ..plants import pwa_plant
+from ..learning.mpc import solve_miqp
+from ..studies.case_studies import case_study
+from ..systems.loop import ClosedLoop
+from ..systems.network import Layer, MaxoutNetwork
+from ..systems.plants import pwa_plant
 from .common import require, require_array, require_filled
 
 TOL = 1e-6  # for numbers that differ by rounding, relative to 1 + their size

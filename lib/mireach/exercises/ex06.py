@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from ..case_studies import case_study
-from ..invariance import check_rpi, safe_set
-from ..loop import ClosedLoop
-from ..network import Layer, MaxoutNetwork
-from ..plants import pwa_plant
-from ..polytope import Polytope, box_directions, directions
-from ..reach import support
-from ..system import PWASystem
+from ..analysis.invariance import check_rpi, safe_set
+from ..analysis.reach import support
+from ..sets.polytope import Polytope, box_directions, directions
+from ..studies.case_studies import case_study
+from ..systems.loop import ClosedLoop
+from ..systems.network import Layer, MaxoutNetwork
+from ..systems.plants import pwa_plant
+from ..systems.pwa import PWASystem
 from .common import require, require_array, require_close, require_filled
 
 ACCURACY = 1e-4  # of a largest disturbance bound, in units of x

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ..approximation import fit_pwa
-from ..case_studies import case_study
-from ..plants import INTEGRATOR_CURVATURE, chessboard, double_integrator_plant
-from ..polytope import Polytope
+from ..approximation.fit import fit_pwa
+from ..sets.polytope import Polytope
+from ..studies.case_studies import case_study
+from ..systems.plants import INTEGRATOR_CURVATURE, chessboard, double_integrator_plant
 from .common import require, require_array, require_filled
 
 DECEIVED = 0.02  # task 2: by how much the error at a state shall exceed that of the grid (units of x)

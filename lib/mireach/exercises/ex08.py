@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..case_studies import case_study
-from ..mpc.piecewise_affine import trajectory_cost
-from ..network import MaxoutNetwork
+from ..learning.mpc.piecewise_affine import trajectory_cost
+from ..studies.case_studies import case_study
+from ..systems.network import MaxoutNetwork
 from .common import Wrong, require, require_array, require_filled
 
 START, TARGET = (5.5, -1.5), 52.0  # of task 3

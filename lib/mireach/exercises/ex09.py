@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from ..case_studies import case_study
-from ..invariance import safe_set, terminal_set
-from ..loop import ClosedLoop
-from ..polytope import Polytope, directions
-from ..reach import support
+from ..analysis.invariance import safe_set, terminal_set
+from ..analysis.reach import support
+from ..sets.polytope import Polytope, directions
+from ..studies.case_studies import case_study
+from ..systems.loop import ClosedLoop
 from .common import Wrong, require, require_array, require_filled
 
 MOST_ITERATIONS, ACCURACY = 60, 0.002  # of task 2

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from ..case_studies import case_study
-from ..loop import ClosedLoop
-from ..network import MaxoutNetwork
-from ..planar import carried_out, largest_disturbance, maximal_safe_set
-from ..polytope import Polytope
-from ..region import Region
-from ..system import Mode, PWASystem
+from ..analysis.planar import carried_out, largest_disturbance, maximal_safe_set
+from ..sets.polytope import Polytope
+from ..sets.region import Region
+from ..studies.case_studies import case_study
+from ..systems.loop import ClosedLoop
+from ..systems.network import MaxoutNetwork
+from ..systems.pwa import Mode, PWASystem
 from .common import Wrong, require, require_array, require_filled
 
 ROUNDING = 1e-9  # of states that are computed twice (units of x)

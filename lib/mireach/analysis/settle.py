@@ -1,0 +1,173 @@
+"""Whether R_1(F) stays within half-planes: floats find the answer, and only what cannot be wrong settles it.
+
+"Holds" rests on a bound whose rounding is counted, or on exact arithmetic where floats leave a doubt; "leaves" rests on
+a step in rational numbers. What is left for more than two states rests on the resolution of a MILP, and says so.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..arithmetic.rational import binary
+from ..checks import real_array
+from ..engines import exact, steps
+from ..engines.base import COUNTED, EXACT, SOLVER, Support, Witness
+from ..engines.units import own_units
+from ..errors import SolverStopped
+from ..sets.polytope import Polytope
+from ..systems.loop import ClosedLoop
+from .reach import RESOLUTION, default_engine, support
+
+CLEAR = 1e-9  # by which an attained value passes a limit that floats alone call passed (relative to the size of X)
+WITHIN = "to within {:.0e} of the size of X, {}"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """R_1(F) against half-planes V x <= limit.
+
+    Attributes
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+    V : array (k, n)
+    limit : array (k,)
+    found : Support
+    bound : array (k,)
+        The smallest bound on h of R_1(F) along V that is known.
+    holds : array (k,) of bool
+        Rows along which R_1(F) does not pass the limit.
+    settled : str
+        What this rests on, where all rows hold.
+    stopped : str
+        Why the engine did not finish; "" if it did.
+    """
+
+    loop: ClosedLoop
+    F: Polytope
+    V: np.ndarray
+    limit: np.ndarray
+    found: Support
+    bound: np.ndarray
+    holds: np.ndarray
+    settled: str
+    stopped: str = ""
+    _steps: dict = field(default_factory=dict, repr=False)
+
+    @property
+    def weights(self):
+        """Factors (k,) that make excesses along different rows comparable, relative to the size of X."""
+        return own_units(self.loop).rows(self.V)[1]
+
+    @property
+    def worst(self):
+        """The row whose bound passes its limit by most."""
+        return int(np.argmax((self.bound - self.limit) * self.weights))
+
+    def escape(self, row):
+        """A step from F that passes the limit of a row without rounding: (Escape, Witness), or None."""
+        if row not in self._steps:
+            step = self._passing(row)
+            if step is None:
+                self._steps[row] = None
+            else:
+                witness = step.witness(self.loop, self.V[row], self.limit[row])
+                self._steps[row] = step.escape(self.loop), witness
+        return self._steps[row]
+
+    def first_escape(self):
+        """(row, Escape, Witness) of a row that is passed, the worst one first, or None."""
+        excess = (self.found.value - self.limit) * self.weights
+        for row in np.argsort(-excess, kind="stable").tolist():
+            if not self.holds[row]:
+                found = self.escape(row)
+                if found is not None:
+                    return row, *found
+        return None
+
+    def _passing(self, row):
+        v, limit, witness = self.V[row], binary(self.limit[row]), self.found.witness[row]
+        if witness is not None:
+            step = steps.farthest_step(self.loop, self.F, v, witness.states[0], int(witness.modes[0]))
+            if step is not None and step.value > limit:
+                return step
+        if self.loop.system.state_size == 2 and self.found.value[row] > -np.inf:
+            found = exact.farthest_steps(self.loop, self.F, v[None])
+            if found is not None and found[0].value > limit:
+                return found[0]
+        return None
+
+
+def compare(loop, F, V, limit, engine=None, tol=None, thorough=False, **options):
+    """Compare R_1(F) with half-planes V x <= limit.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+    V : array (k, n)
+    limit : array (k,)
+        inf where nothing is asked.
+    engine : str or None
+        As in `reach.support`.
+    tol : float or None
+        A row holds if its bound is at most limit + tol (units of V x). None is what the engine resolves, and for two
+        states no tolerance at all: exact arithmetic decides.
+    thorough : bool
+        Whether exact arithmetic shall decide about every row in doubt, even where floats see another one passed
+        clearly, so that not all of them hold.
+    **options
+        Passed to the engine.
+
+    Returns
+    -------
+    Comparison
+    """
+    engine = default_engine(loop) if engine is None else engine
+    asked = np.isfinite(limit)
+    try:
+        found, stopped = support(loop, F, V, engine=engine, **options), ""
+    except SolverStopped as stop:
+        found, stopped = stop.support, f"; {stop}"
+    bound, rests = found.bound, found.rests_on
+    holds = ~asked | (bound <= limit + (0.0 if tol is None else tol))
+    settled = rests if tol is None or (bound <= limit)[asked].all() else f"to within tol = {tol:g}, {rests}"
+    if tol is None and rests == SOLVER and loop.system.state_size == 2:
+        holds = ~asked  # a solver's word is not taken where exact arithmetic is at hand
+    if tol is None and not holds.all():
+        if loop.system.state_size == 2:
+            weights = own_units(loop).rows(V)[1]
+            clear = asked & ((found.value - limit) * weights > CLEAR)
+            if thorough or not clear.any():
+                rows = np.flatnonzero(~holds)
+                bound = bound.copy()
+                bound[rows] = support(loop, F, V[rows], engine="exact").bound
+                holds, settled = holds | (bound <= limit), EXACT
+        elif RESOLUTION[engine]:
+            holds = ~asked | (bound <= limit + found.resolution)
+            settled = WITHIN.format(RESOLUTION[engine], rests)
+    elif tol is None and rests == SOLVER and RESOLUTION[engine]:
+        settled = WITHIN.format(RESOLUTION[engine], rests)
+    return Comparison(loop, F, V, limit, found, bound, holds, settled, stopped)
+
+
+def weaker(*settled):
+    """The weakest of several things that a result rests on."""
+    order = {EXACT: 0, COUNTED: 1}
+    return max(settled, key=lambda one: 3 if SOLVER in one else order.get(one, 2), default=EXACT)
+
+
+def standing(loop, x):
+    """A trajectory of no steps at x (n,), as a Witness."""
+    n, m = loop.system.state_size, loop.system.input_size
+    return Witness(np.asarray(x)[None], np.zeros((0, m)), np.zeros(0, int), np.zeros((0, n)))
+
+
+def tolerance(tol):
+    """An argument `tol`, checked."""
+    if tol is None:
+        return None
+    tol = float(real_array(tol, "tol", 0))
+    if tol < 0:
+        raise ValueError(f"tol must not be negative; got {tol}")
+    return tol

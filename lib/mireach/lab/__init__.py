@@ -1,0 +1,5 @@
+"""The disturbance lab and the step viewers: widgets that analyse as you drag."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,1 @@
+"""Optimal control problems, their data sets, and the training of networks."""

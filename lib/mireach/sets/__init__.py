@@ -1,0 +1,1 @@
+"""Polytopes of any dimension and finite unions of them in the plane."""

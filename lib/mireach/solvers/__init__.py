@@ -1,0 +1,1 @@
+"""Linear and mixed-integer programs, with bounds that do not rest on the solver."""

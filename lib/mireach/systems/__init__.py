@@ -1,0 +1,1 @@
+"""What is analysed: maxout networks, piecewise-affine systems, the closed loop, example plants."""

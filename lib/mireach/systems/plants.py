@@ -1,0 +1,211 @@
+"""The plants of the case studies; every number of theirs is written here, once.
+
+`pwa` and `double_integrator` are those of Sec. V of [Teichrib2025], `three_tanks` and `four_tanks` two benchmarks of
+process control with more than two states.
+"""
+
+from itertools import pairwise, product
+
+import numpy as np
+from scipy.linalg import expm
+
+from ..sets.polytope import Polytope
+from .pwa import Mode, NonlinearSystem, PWASystem
+
+# Case 1: the four modes; the matrix A of each, with the signs s of its region {x : s_i x_i >= 0}.
+PWA_MODES = (
+    ([[-0.04, -0.461], [-0.139, 0.341]], (1, 1)),
+    ([[0.936, 0.323], [0.788, -0.049]], (1, -1)),
+    ([[-0.857, 0.815], [0.491, 0.62]], (-1, -1)),
+    ([[-0.022, 0.644], [0.758, 0.271]], (-1, 1)),
+)
+PWA_B = ((1.0,), (0.0,))
+PWA_STATE_LIMIT, PWA_INPUT_LIMIT = 10.0, 1.0  # |x|_inf and |u|
+PWA_DISTURBANCE = 0.15  # |d|_inf
+
+# Case 2: x+ = A x + B u + CURVATURE x'x in both components (eq. NL_DI).
+INTEGRATOR_A = ((1.0, 1.0), (0.0, 1.0))
+INTEGRATOR_B = (0.5, 1.0)
+INTEGRATOR_CURVATURE = 0.025
+INTEGRATOR_STATE_LIMIT, INTEGRATOR_INPUT_LIMIT = 6.0, 2.0
+INTEGRATOR_DISTURBANCE = 0.1186  # |d|_inf, the error of the piecewise-affine fit rounded up
+
+# Case 3, the three-tank benchmark of [Bemporad1999b, Yaakoubi2023], in cm and s.
+THREE_TANKS_AREA = 154.0  # of each tank, cm^2
+THREE_TANKS_PIPE = 0.2  # of each pipe, cm^2
+THREE_TANKS_HEIGHT = 62.0  # of the tanks, cm
+THREE_TANKS_UPPER_PIPE = 30.0  # height of the upper pipes, cm
+THREE_TANKS_PUMP = 100.0  # largest flow of a pump, cm^3/s
+# Ours: the levels are to stay where the upper pipes begin to carry water, and within 10 cm of it.
+THREE_TANKS_SAMPLING = 10.0  # s
+THREE_TANKS_LEVELS = (30.0, 30.0, 20.0)  # cm
+THREE_TANKS_STATE_LIMIT = 10.0  # |x|_inf, cm
+THREE_TANKS_DISTURBANCE = 0.2  # |d|_inf, cm
+
+# Case 4, the quadruple-tank process of [Johansson2000] at its minimum-phase operating point, in cm, s and V.
+FOUR_TANKS_AREAS = (28.0, 32.0, 28.0, 32.0)  # cm^2
+FOUR_TANKS_OUTLETS = (0.071, 0.057, 0.071, 0.057)  # cm^2
+FOUR_TANKS_LEVELS = (12.4, 12.7, 1.8, 1.4)  # cm
+FOUR_TANKS_PUMPS = (3.33, 3.35)  # cm^3/(V s)
+FOUR_TANKS_VALVES = (0.70, 0.60)  # the share of each pump's flow that goes to the lower tank
+# Ours: within these limits no tank runs dry, and none is fuller than 18 cm.
+FOUR_TANKS_SAMPLING = 5.0  # s
+FOUR_TANKS_STATE_LIMITS = (5.0, 5.0, 1.5, 1.2)  # |x_i|, cm
+FOUR_TANKS_INPUT_LIMIT = 1.0  # |u|, V
+FOUR_TANKS_DISTURBANCE = 0.05  # |d|_inf, cm
+
+GRAVITY = 981.0  # cm/s^2
+
+
+def pwa_plant(disturbance_bound=PWA_DISTURBANCE):
+    """The four-mode system of case study 1.
+
+    Parameters
+    ----------
+    disturbance_bound : float
+        D = {d : |d|_inf <= disturbance_bound} in every mode, in units of x.
+
+    Returns
+    -------
+    PWASystem
+        The regions are the quadrants, closed, and do not depend on u.
+    """
+    D = _cube(_bound(disturbance_bound), 2)
+    modes = [Mode(A, PWA_B, np.zeros(2), _quadrant(signs), D) for A, signs in PWA_MODES]
+    return PWASystem(modes, _cube(PWA_STATE_LIMIT, 2), _cube(PWA_INPUT_LIMIT, 1))
+
+
+def double_integrator(x, u):
+    """f(x, u) of eq. NL_DI, on anything that can be indexed, added, multiplied and squared."""
+    bend = INTEGRATOR_CURVATURE * (x[0] ** 2 + x[1] ** 2)
+    return tuple(row[0] * x[0] + row[1] * x[1] + gain * u[0] + bend for row, gain in zip(INTEGRATOR_A, INTEGRATOR_B))
+
+
+def double_integrator_plant():
+    """The nonlinear double integrator of case study 2 (eq. NL_DI), a NonlinearSystem."""
+    return NonlinearSystem(double_integrator, _cube(INTEGRATOR_STATE_LIMIT, 2), _cube(INTEGRATOR_INPUT_LIMIT, 1))
+
+
+def three_tanks_plant(disturbance_bound=THREE_TANKS_DISTURBANCE):
+    """Three tanks in a row, pumps above the outer two, a drain below the middle one: n = 3, m = 2, four modes.
+
+    Each outer tank is joined to the middle one by a pipe at the bottom, which carries q = k (h_i - h_3), and by one at
+    height h_v, which carries kappa (h_i - h_v) once its water stands above h_v. The drain carries k h_3. Torricelli's
+    law is replaced by its secants, k = S sqrt(2 g / h_max) and kappa = S sqrt(2 g / (h_max - h_v)), and the levels
+    are those of an Euler step:
+
+        h_i+ = h_i + T / A (Q_i - q_i),   h_3+ = h_3 + T / A (q_1 + q_2 - k h_3).
+
+    Parameters
+    ----------
+    disturbance_bound : float
+        D = {d : |d|_inf <= disturbance_bound} in every mode, in cm.
+
+    Returns
+    -------
+    PWASystem
+        x is the deviation of the levels (h_1, h_2, h_3) from (30, 30, 20) cm, u that of the pumps from the flow that
+        keeps them there, in units of the largest flow of a pump, 100 cm^3/s. The upper pipes sit at 30 cm, so all
+        modes meet at the origin; h_3 stays below them.
+
+    Notes
+    -----
+    The three-tank benchmark in its mixed logical dynamical form [Bemporad1999b, Yaakoubi2023], with the parameters and
+    secants in common use for it. Here all four pipes and the drain are open and the outer tanks do not leak. The levels
+    to be kept, the sampling time, X and the disturbance are our choice.
+    """
+    D = _cube(_bound(disturbance_bound), 3)
+    per_area = THREE_TANKS_SAMPLING / THREE_TANKS_AREA
+    depth = THREE_TANKS_HEIGHT - THREE_TANKS_UPPER_PIPE
+    k = per_area * THREE_TANKS_PIPE * np.sqrt(2 * GRAVITY / THREE_TANKS_HEIGHT)
+    kappa = per_area * THREE_TANKS_PIPE * np.sqrt(2 * GRAVITY / depth)
+    pump = per_area * THREE_TANKS_PUMP
+    h1, h2, h3 = THREE_TANKS_LEVELS
+    resting = np.array([k * (h1 - h3), k * (h2 - h3)]) / pump  # share of the pumps' flow that keeps the levels
+    B = [[pump, 0.0], [0.0, pump], [0.0, 0.0]]
+    modes = []
+    for signs in product((-1, 1), repeat=2):  # +1: the level is above the upper pipe
+        k1, k2 = (k + kappa if sign > 0 else k for sign in signs)
+        A = [[1 - k1, 0.0, k], [0.0, 1 - k2, k], [k1, k2, 1 - 3 * k]]
+        region = Polytope([[-signs[0], 0, 0, 0, 0], [0, -signs[1], 0, 0, 0]], np.zeros(2))
+        modes.append(Mode(A, B, np.zeros(3), region, D))
+    return PWASystem(modes, _cube(THREE_TANKS_STATE_LIMIT, 3), Polytope.box(-resting, 1 - resting))
+
+
+def four_tanks_plant(disturbance_bound=FOUR_TANKS_DISTURBANCE):
+    """Two tanks below two others, each pump feeding a lower and the opposite upper one: n = 4, m = 2, one mode.
+
+    The linearisation of [Johansson2000], with the time constants T_i = A_i / a_i sqrt(2 h_i / g),
+
+        dx1/dt = -x1 / T1 + A3 x3 / (A1 T3) + gamma1 k1 u1 / A1,   dx3/dt = -x3 / T3 + (1 - gamma2) k2 u2 / A3,
+        dx2/dt = -x2 / T2 + A4 x4 / (A2 T4) + gamma2 k2 u2 / A2,   dx4/dt = -x4 / T4 + (1 - gamma1) k1 u1 / A4,
+
+    sampled exactly while u is held.
+
+    Parameters
+    ----------
+    disturbance_bound : float
+        D = {d : |d|_inf <= disturbance_bound}, in cm.
+
+    Returns
+    -------
+    PWASystem
+        x is the deviation of the levels from (12.4, 12.7, 1.8, 1.4) cm, u that of the pumps from 3 V each.
+
+    Notes
+    -----
+    All parameters are those of the paper at its operating point P-, where the zeros are stable. The sampling time, X,
+    U and the disturbance are our choice.
+    """
+    D = _cube(_bound(disturbance_bound), 4)
+    area, outlet, level = map(np.array, (FOUR_TANKS_AREAS, FOUR_TANKS_OUTLETS, FOUR_TANKS_LEVELS))
+    rate = outlet / area / np.sqrt(2 * level / GRAVITY)  # 1 / T_i
+    (k1, k2), (gamma1, gamma2) = FOUR_TANKS_PUMPS, FOUR_TANKS_VALVES
+    A, B = np.diag(-rate), np.zeros((4, 2))
+    A[0, 2], A[1, 3] = area[2] * rate[2] / area[0], area[3] * rate[3] / area[1]
+    B[[0, 3], 0] = gamma1 * k1 / area[0], (1 - gamma1) * k1 / area[3]
+    B[[1, 2], 1] = gamma2 * k2 / area[1], (1 - gamma2) * k2 / area[2]
+    sampled = expm(FOUR_TANKS_SAMPLING * np.block([[A, B], [np.zeros((2, 6))]]))[:4]
+    mode = Mode(sampled[:, :4], sampled[:, 4:], np.zeros(4), Polytope(np.zeros((1, 6)), [1.0]), D)
+    limits = np.array(FOUR_TANKS_STATE_LIMITS)
+    return PWASystem([mode], Polytope.box(-limits, limits), _cube(FOUR_TANKS_INPUT_LIMIT, 2))
+
+
+def chessboard(state_set, input_set, cells=3):
+    """Regions that divide X into a regular pattern of boxes, each times U.
+
+    Parameters
+    ----------
+    state_set, input_set : Polytope
+        Bounded. A state set that is not a box is covered by the pattern of its bounding box.
+    cells : int
+        Boxes along each axis of x.
+
+    Returns
+    -------
+    list of Polytope
+        cells^n regions in (x, u), the last axis of x running fastest; neighbours share their edge as
+        the same float.
+    """
+    if cells != int(cells) or cells < 1:
+        raise ValueError(f"cells must be a whole number of at least 1; got {cells}")
+    lower, upper = state_set.bounding_box()
+    axes = [list(pairwise(np.linspace(low, high, int(cells) + 1))) for low, high in zip(lower, upper)]
+    return [Polytope.box(*np.transpose(sides)).product(input_set) for sides in product(*axes)]
+
+
+def _bound(disturbance_bound):
+    """The bound itself; ValueError if it is negative."""
+    if not disturbance_bound >= 0:
+        raise ValueError(f"disturbance_bound must be at least 0; got {disturbance_bound}")
+    return disturbance_bound
+
+
+def _cube(limit, n):
+    """{x in R^n : |x|_inf <= limit}."""
+    return Polytope.box(np.full(n, -limit), np.full(n, limit))
+
+
+def _quadrant(signs):
+    """{(x, u) : signs_i x_i >= 0} for x in the plane and one input."""
+    return Polytope([[-signs[0], 0, 0], [0, -signs[1], 0]], np.zeros(2))

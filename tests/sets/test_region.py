@@ -1,0 +1,169 @@
+"""Regions: known areas, points by brute force, sums and erosions by their definitions."""
+
+import numpy as np
+import pytest
+import shapely
+
+import mireach as mr
+from mireach.arithmetic.rational import binary
+from mireach.engines import exact
+from mireach.sets.region import hulls
+
+SQUARE, SMALL = mr.Polytope.box([0, 0], [4, 4]), mr.Polytope.box([1, 1], [3, 3])
+TRIANGLE = mr.Polytope.from_points([[0.3, 0.1], [-0.2, 0.4], [0.0, -0.3]])
+
+
+def random_region(rng, count=4):
+    """A union of random triangles less one of them: holes, several components, nonconvex."""
+    triangles = [rng.uniform(-3, 3, 2) + rng.uniform(-2, 2, (3, 2)) for _ in range(count)]
+    return mr.Region.of(*triangles) - mr.Region.of(triangles[0] * 0.5)
+
+
+def grid(reach=6, count=121):
+    axis = np.linspace(-reach, reach, count)
+    return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+
+
+def test_a_frame_has_a_hole_and_its_corners():
+    frame = mr.Region.of(SQUARE) - SMALL
+    assert (frame.area, frame.holes, frame.components) == (12, 1, 1)
+    assert frame.contains([[0.5, 0.5], [2, 2], [1, 2], [4, 4], [4.1, 4]]).tolist() == [True, False, True, True, False]
+    assert frame.contains([4.1, 4], tol=0.11)
+    lower, upper = frame.bounding_box()
+    assert (lower.tolist(), upper.tolist()) == ([0, 0], [4, 4])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_set_operations_agree_with_points(seed):
+    rng = np.random.default_rng(seed)
+    P, Q, x = random_region(rng), random_region(rng), grid() + 1e-4 * np.sqrt(2)
+    inside_p, inside_q = P.contains(x), Q.contains(x)
+    np.testing.assert_array_equal((P | Q).contains(x), inside_p | inside_q)
+    np.testing.assert_array_equal((P & Q).contains(x), inside_p & inside_q)
+    np.testing.assert_array_equal((P - Q).contains(x), inside_p & ~inside_q)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pieces_are_convex_and_tile_the_region(seed):
+    P = random_region(np.random.default_rng(seed))
+    pieces = [P.pieces[i] for i in range(len(P.pieces))]
+    assert sum(mr.Region.of(piece).area for piece in pieces) == pytest.approx(P.area, rel=1e-12)
+    again = mr.Region.from_dict(P.to_dict())
+    assert (again - P).area < 1e-12 and (P - again).area < 1e-12
+
+
+@pytest.mark.parametrize("D", [TRIANGLE, SMALL.scale(0.1), mr.Polytope.box([0.5, 0.2], [0.5, 0.2])], ids=str)
+@pytest.mark.parametrize("seed", range(3))
+def test_sum_and_erosion_agree_with_their_definitions(seed, D):
+    rng = np.random.default_rng(seed)
+    P, x = random_region(rng), rng.uniform(-6, 6, (3000, 2))
+    corners = D.vertices()
+    weights = rng.dirichlet(np.ones(len(corners)), 200)
+    d = np.vstack([corners, weights @ corners])
+    backward = np.array([P.contains(x - one) for one in d])  # x is in P + D if x - d is in P for some d
+    wide = P.sum(D)
+    assert wide.contains(x[backward.any(axis=0)], tol=1e-9).all()
+    forward = np.array([P.contains(x + one) for one in d])
+    narrow = P.erode(D)
+    assert not narrow.contains(x[~forward.all(axis=0)]).any()
+    # what the samples of D cannot tell apart lies near the boundary
+    assert (~backward.any(axis=0) & wide.contains(x)).mean() < 0.02
+    assert (forward.all(axis=0) & ~narrow.contains(x)).mean() < 0.02
+
+
+def test_known_sums_and_erosions():
+    frame = mr.Region.of(SQUARE) - SMALL
+    D = mr.Polytope.box([-0.25, -0.5], [0.25, 0.5])
+    assert frame.sum(D).area == pytest.approx(4.5 * 5 - 1.5 * 1)
+    assert frame.erode(D).area == pytest.approx(3.5 * 3 - 2.5 * 3)
+    assert frame.erode(mr.Polytope.box([0, 0], [1.5, 0.0])).area == pytest.approx(2.5 * 2)
+    assert frame.erode(SQUARE).is_empty
+
+
+def test_segments_and_points_are_legitimate():
+    flat = mr.Region.of([[0, 0], [1, 1]], [[2.0, 0.0]])
+    assert flat.area == 0 and not flat.is_empty and flat.components == 2
+    assert flat.contains([[0.5, 0.5], [2, 0], [1, 0]]).tolist() == [True, True, False]
+    assert [len(flat.pieces[i]) for i in range(2)] == [2, 1]
+    assert flat.sum(mr.Polytope.box([-0.5, -0.5], [0.5, 0.5])).area == pytest.approx(3 + 1 - 0.25 / 2, abs=0.2)
+    assert flat.is_subset(SQUARE) and not flat.is_subset(SMALL)
+
+
+def test_inclusion_with_and_without_tolerance():
+    P = mr.Region.of(SMALL)
+    assert P.is_subset(SQUARE) and not mr.Region.of(SQUARE).is_subset(P)
+    wider = mr.Region.of(mr.Polytope.box([1, 1], [3.01, 3]))
+    assert not wider.is_subset(P) and wider.is_subset(P, tol=0.0101)
+    assert mr.Region.of().is_subset(P) and mr.Region.of().is_empty
+
+
+def test_hulls_of_many_polygons_keep_their_order():
+    P = random_region(np.random.default_rng(0))
+    areas = [shape.area for shape in hulls(P.pieces)]
+    np.testing.assert_allclose(areas, [mr.Region.of(P.pieces[i]).area for i in range(len(P.pieces))], rtol=1e-12)
+    assert shapely.union_all(hulls(P.pieces)).area == pytest.approx(P.area)
+
+
+def test_what_is_no_region_is_refused():
+    with pytest.raises(ValueError, match="lies in R"):
+        mr.Region.of(mr.Polytope.box([0, 0, 0], [1, 1, 1]))
+    with pytest.raises(ValueError, match="unbounded"):
+        mr.Region.of(mr.Polytope([[1.0, 0]], [1]))
+    with pytest.raises(ValueError, match="needs the key pieces"):
+        mr.Region.from_dict({})
+    with pytest.raises(ValueError, match="region is empty"):
+        mr.Region.of().bounding_box()
+    with pytest.raises(ValueError, match="nonempty polytope of the plane"):
+        mr.Region.of(SQUARE).sum(mr.Polytope([[1.0, 0], [-1, 0]], [-1, -1]))
+
+
+def test_sum_with_and_erosion_by_a_segment_that_does_not_hold_the_origin():
+    wide = mr.Region.of(mr.Polytope.box([0, 0], [1, 1])).sum(mr.Polytope.box([1, 0], [2, 0]))
+    assert [limit.tolist() for limit in wide.bounding_box()] == [[1, 0], [3, 1]] and wide.area == pytest.approx(2)
+    narrow = mr.Region.of(mr.Polytope.box([0, 0], [4, 1])).erode(mr.Polytope.box([1, 0], [2, 0]))
+    assert [limit.tolist() for limit in narrow.bounding_box()] == [[-1, 0], [2, 1]]
+
+
+def test_tolerance_of_the_point_test_is_what_it_says():
+    square = mr.Region.of(mr.Polytope.box([0, 0], [1, 1]))
+    assert square.contains([1.09, 0.5], tol=0.1) and not square.contains([1.15, 0.5], tol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_pieces_are_convex_beyond_rounding(seed):
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(2, 2))
+    across, middle = np.array([-(b - a)[1], (b - a)[0]]), a + rng.uniform(0.2, 0.8) * (b - a)
+    halves = shapely.Polygon([a, middle, a + across]), shapely.Polygon([middle, b, a + across])
+    pieces = mr.Region(shapely.union_all(halves)).pieces
+    for i in range(len(pieces)):
+        assert len(exact._hull([binary(x) for x in pieces[i]])) == len(pieces[i])
+
+
+# -- units --------------------------------------------------------------------------------------------
+
+
+def operations(s, seed):
+    """What the operations make of random regions in units of s (2,)."""
+    rng = np.random.default_rng(seed)
+    triangles = [s * (rng.uniform(-3, 3, 2) + rng.uniform(-2, 2, (3, 2))) for _ in range(6)]
+    P, Q = mr.Region.of(*triangles[:3]) - mr.Region.of(triangles[0] * 0.5), mr.Region.of(*triangles[3:])
+    D = mr.Polytope.box(-0.25 * s, 0.5 * s)
+    return [P, P | Q, P & Q, P - Q, P.sum(D), P.erode(D), mr.Region.of(mr.Polytope.box(-s, s)), mr.Region.of(*P.pieces)]
+
+
+@pytest.mark.parametrize("power", [(-300, -300), (-60, -60), (-34, -34), (60, 60), (300, 300), (60, -60), (0, 40)])
+@pytest.mark.parametrize("seed", range(3))
+def test_regions_are_the_same_in_all_units(seed, power):
+    s, t = np.ldexp(1.0, power), np.ldexp(1.0, sum(power))
+    for region, same in zip(operations(s, seed), operations(np.ones(2), seed)):
+        assert region.area / t == pytest.approx(same.area, rel=1e-9, abs=1e-9)
+        assert (region.components, region.holes) == (same.components, same.holes)
+        x = grid(6, 31) + 1e-4 * np.sqrt(2)
+        np.testing.assert_array_equal(region.contains(x * s), same.contains(x))
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e200])
+def test_coordinates_that_cannot_be_multiplied_are_refused(size):
+    with pytest.raises(ValueError, match="unit of length"):
+        mr.Region.of(mr.Polytope.box([-size, -size], [size, size]))
