@@ -220,7 +220,11 @@ FAULTS = (
         "    k = len(alphas) - 1\n",
     ),
     Fault(
-        "invariance", "analysis/invariance.py", "alpha is rounded up", "return below(min(shares))", "return above(min(shares))"
+        "invariance",
+        "analysis/invariance.py",
+        "alpha is rounded up",
+        "return below(min(shares))",
+        "return above(min(shares))",
     ),
     Fault(
         "invariance",

@@ -12,7 +12,7 @@ from .analysis.invariance import (
 from .analysis.planar import attractor, exact_reach, largest_disturbance, maximal_safe_set, prove_rpi
 from .analysis.reach import outer_reach, outer_step, support
 from .approximation.fit import fit_pwa, prove_error
-from .errors import CorruptFileError, MireachError, SolverError, SolverStopped
+from .errors import CorruptFileError, MireachError, MissingExtraError, SolverError, SolverStopped
 from .sets.polytope import Polytope, box_directions, directions
 from .sets.region import Region
 from .studies import case_studies
@@ -27,6 +27,7 @@ __all__ = [
     "Layer",
     "MaxoutNetwork",
     "MireachError",
+    "MissingExtraError",
     "Mode",
     "NonlinearSystem",
     "PWASystem",

@@ -1,15 +1,19 @@
-"""Checks of arguments that every room uses; each message names the argument, its size, and what is needed."""
+"""Checks of arguments; each message names the argument, what was given and what is needed."""
+
+from typing import Any
 
 import numpy as np
 
+from .typing import Array, ArrayLike
 
-def real_array(value, name, ndim):
+
+def real_array(value: ArrayLike, name: str, ndim: int) -> Array:
     """`value` as a read-only float array with `ndim` axes and finite entries.
 
     Raises
     ------
     ValueError
-        Naming the argument, what was given and what is needed.
+        If it is no such array; the message gives the shape or the first entry that is not finite.
     """
     try:
         array = np.array(value, dtype=float)
@@ -24,12 +28,13 @@ def real_array(value, name, ndim):
     return array
 
 
-def whole_number(value, name, least):
+def whole_number(value: Any, name: str, least: int) -> int:
     """`value` as an int of at least `least`; 2.0 is one, True and 1.5 are none.
 
     Raises
     ------
     ValueError
+        If it is none.
     """
     try:
         whole = not isinstance(value, bool) and not isinstance(value, str) and float(value).is_integer()
@@ -40,12 +45,13 @@ def whole_number(value, name, least):
     return int(value)
 
 
-def positive_number(value, name):
+def positive_number(value: Any, name: str) -> float:
     """`value` as a positive and finite float.
 
     Raises
     ------
     ValueError
+        If it is none.
     """
     number = float(real_array(value, name, 0))
     if not number > 0:
@@ -53,14 +59,14 @@ def positive_number(value, name):
     return number
 
 
-def require_kind(value, kind, name):
-    """Raise ValueError unless `value` is of the class `kind`, or one of several; both are named."""
+def require_kind(value: object, kind: type | tuple[type, ...], name: str) -> None:
+    """Raise TypeError unless `value` is an instance of `kind`, or of one of several; both are named."""
     if not isinstance(value, kind):
         needed = " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
-        raise ValueError(f"{name} must be of the kind {needed}; got {type(value).__name__} {value!r:.60}")
+        raise TypeError(f"{name} must be of the kind {needed}; got {type(value).__name__} {value!r:.60}")
 
 
-def require_columns(array, columns, name, reason):
+def require_columns(array: Array, columns: int, name: str, reason: str) -> None:
     """Raise ValueError unless `array` has `columns` as its last size; both sizes are named."""
     if not array.ndim or array.shape[-1] != columns:
         raise ValueError(f"{name} has shape {array.shape}, but its last size must be {columns}, {reason}")

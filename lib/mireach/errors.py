@@ -1,4 +1,9 @@
-"""What can go wrong, by name."""
+"""The exceptions of this package. Wrong arguments raise Python's own TypeError and ValueError."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .engines.base import Support
 
 
 class MireachError(Exception):
@@ -7,6 +12,27 @@ class MireachError(Exception):
 
 class CorruptFileError(MireachError, ValueError):
     """A file is not what its name says: truncated, of another format, or with impossible numbers."""
+
+
+class MissingExtraError(MireachError, ImportError):
+    """An optional package is not installed; the message says which, and how to install it.
+
+    Parameters
+    ----------
+    purpose : str
+        What needs the package.
+    package : str
+        Its name.
+    extra : str
+        The extra of mireach that installs it.
+    """
+
+    def __init__(self, purpose: str, package: str, extra: str) -> None:
+        super().__init__(purpose, package, extra)
+        self.purpose, self.package, self.extra = purpose, package, extra
+
+    def __str__(self) -> str:
+        return f'{self.purpose} needs {self.package}: install it with pip install "mireach[{self.extra}]"'
 
 
 class RegionError(MireachError):
@@ -27,6 +53,6 @@ class SolverStopped(MireachError):
         ``value`` the best that was attained (-inf where there is none).
     """
 
-    def __init__(self, message, support=None):
+    def __init__(self, message: str, support: "Support | None" = None) -> None:
         super().__init__(message)
         self.support = support

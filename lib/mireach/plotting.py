@@ -10,6 +10,7 @@ from pathlib import PurePath
 
 import numpy as np
 
+from .errors import MissingExtraError
 from .files import write_whole
 from .sets.region import Region
 
@@ -20,7 +21,7 @@ try:
     from matplotlib.path import Path
     from matplotlib.ticker import MaxNLocator
 except ImportError as missing:
-    raise ImportError('figures need matplotlib: install it with pip install "mireach[plot]"') from missing
+    raise MissingExtraError("a figure", "matplotlib", "plot") from missing
 
 GREEN, BLUE, RED, BLACK, GREY = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A"
 ORANGE, PURPLE = "#E69F00", "#CC79A7"

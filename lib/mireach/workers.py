@@ -5,6 +5,8 @@ from functools import lru_cache
 from threading import Thread
 from time import sleep
 
+from .errors import MissingExtraError
+
 WATCH = 1.0  # seconds between two looks at whether the parent still runs
 
 
@@ -26,7 +28,7 @@ def in_parallel(function, arguments, jobs, ordered=True):
 
     Raises
     ------
-    ImportError
+    MissingExtraError
         If joblib is missing; the message says how to install it.
 
     Notes
@@ -40,7 +42,7 @@ def in_parallel(function, arguments, jobs, ordered=True):
     try:
         from joblib import Parallel, delayed
     except ImportError as error:
-        raise ImportError('more than one job needs joblib: pip install "mireach[train]", or jobs=1') from error
+        raise MissingExtraError("more than one job (jobs=1 works without)", "joblib", "train") from error
     tasks = [delayed(_run)(os.getpid(), function, one) for one in arguments]
     return Parallel(n_jobs=jobs, return_as="generator" if ordered else "generator_unordered")(tasks)
 

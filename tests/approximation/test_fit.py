@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 pytest.importorskip("flint")
 
 import mireach as mr
-from mireach import approximation
-from mireach.approximation import SMALL, error_directions, fit_pwa, prove_error
+from mireach.approximation import fit as approximation
+from mireach.approximation.fit import SMALL, error_directions, fit_pwa, prove_error
 
 X6, U2 = mr.Polytope.box([-6, -6], [6, 6]), mr.Polytope.box([-2], [2])
 NINE = [mr.Polytope.box([k - 2, j - 2, -2], [k + 2, j + 2, 2]) for k in (-4, 0, 4) for j in (-4, 0, 4)]

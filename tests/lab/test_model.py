@@ -53,7 +53,7 @@ def test_unknown_controls_and_subjects_are_named(subjects):
         subjects["pwa"].settle({"bound": 0.1})
     with pytest.raises(ValueError, match="no case study 'pwb'"):
         lab.subject("pwb")
-    with pytest.raises(ValueError, match="case must be of the kind"):
+    with pytest.raises(TypeError, match="case must be of the kind"):
         lab.subject(3)
     with pytest.raises(ValueError, match="3 states"):
         lab.subject(random_loop(0, n=3))

@@ -17,9 +17,9 @@ from ..systems.loop import ClosedLoop
 
 ENGINES = {
     "cells": "cells",
-    "milp": "milp",
+    "milp": "milp.engine",
     "exact": "exact",
-    "cvxpy": "model",
+    "cvxpy": "cvxpy_model",
 }  # name -> module in `engines` with its `support`
 RESOLUTION = {
     "cells": 0.0,
@@ -70,7 +70,7 @@ def support(loop, F, V, steps=1, engine=None, **options):
     engine = default_engine(loop) if engine is None else engine
     if not isinstance(engine, str) or engine not in ENGINES:
         raise ValueError(f"engine must be one of {', '.join(ENGINES)}; got {engine!r}")
-    answer = import_module(f"{__package__}.engines.{ENGINES[engine]}").support
+    answer = import_module(f"mireach.engines.{ENGINES[engine]}").support
     accepted = inspect.signature(answer).parameters if options else {}
     unknown = [name for name in options if name not in accepted]
     if unknown and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in accepted.values()):

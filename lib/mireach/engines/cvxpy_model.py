@@ -8,7 +8,7 @@ import warnings
 
 import numpy as np
 
-from ..errors import SolverStopped
+from ..errors import MissingExtraError, SolverStopped
 from .attained import attained
 from .base import SOLVER, Support, checked_query, empty_support
 
@@ -66,7 +66,7 @@ def support(loop, F, V, steps=1, *, solver="HIGHS", time_limit=None, tolerance=T
         If an argument does not fit, or cvxpy does not know the solver.
     SolverStopped
         If the solver ends without an optimum.
-    ImportError
+    MissingExtraError
         If cvxpy is missing.
     """
     V, steps = checked_query(loop, F, V, steps)
@@ -187,7 +187,7 @@ def _cvxpy():
     try:
         import cvxpy
     except ImportError as error:
-        raise ImportError("the engine cvxpy needs the package of that name; pip install cvxpy") from error
+        raise MissingExtraError("the engine cvxpy", "cvxpy", "model") from error
     return cvxpy
 
 

@@ -7,12 +7,13 @@ import numpy as np
 from tqdm.auto import trange
 
 from ..checks import real_array
+from ..errors import MissingExtraError
 from ..systems.network import Layer, MaxoutNetwork
 
 try:
     import torch
 except ImportError as missing:
-    raise ImportError('training needs PyTorch: install it with pip install "mireach[train]"') from missing
+    raise MissingExtraError("training", "torch", "train") from missing
 
 LEAK = 0.01  # slope of the loss's clipping outside U: keeps a gradient where the output is cut off
 BETAS = (0.9, 0.99)  # Adam's; a shorter memory of squares than its default fits these small networks better

@@ -18,7 +18,7 @@ from ..analysis.planar import maximal_safe_set
 from ..certificate.writer import write
 from ..checks import whole_number
 from ..engines.cells import cells
-from ..errors import CorruptFileError, MireachError
+from ..errors import CorruptFileError, MireachError, MissingExtraError
 from ..files import END, PART, read_json, write_json, write_whole
 from ..learning.datasets import MAKERS, DataSet
 from ..systems.network import MaxoutNetwork
@@ -144,7 +144,7 @@ def _results(tasks, jobs, scheduler):
     try:
         from dask.distributed import Client, as_completed
     except ImportError as error:
-        raise MireachError('a scheduler needs Dask: install it with pip install "mireach[cluster]"') from error
+        raise MissingExtraError("a scheduler", "dask", "cluster") from error
     with Client(scheduler) as client:
         futures = [client.submit(_run_task, *task, pure=False) for task in tasks]
         for future in as_completed(futures):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...checks import real_array, require_columns
+from ...errors import MissingExtraError
 from .piecewise_affine import trajectory_cost, weight
 
 TOLERANCE = 1e-8  # IPOPT's `tol`, and by how much a constraint may be violated (units of x and u)
@@ -58,7 +59,7 @@ class NonlinearMPC:
 
     Raises
     ------
-    ImportError
+    MissingExtraError
         If CasADi is not installed.
 
     Notes
@@ -111,7 +112,7 @@ class NonlinearMPC:
         try:
             import casadi
         except ImportError as error:
-            raise ImportError('nonlinear MPC needs casadi: install it with pip install "mireach[data]"') from error
+            raise MissingExtraError("nonlinear MPC", "casadi", "data") from error
         system, N = self.system, self.horizon
         n, m = system.state_set.dimension, system.input_set.dimension
         x0, inputs, states = casadi.SX.sym("x0", n), casadi.SX.sym("u", m, N), casadi.SX.sym("x", n, N)

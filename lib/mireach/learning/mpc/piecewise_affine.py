@@ -7,7 +7,7 @@ from itertools import count
 import numpy as np
 
 from ...checks import real_array, require_columns
-from ...errors import SolverError, SolverStopped
+from ...errors import MissingExtraError, SolverError, SolverStopped
 
 TOLERANCE = 1e-9  # a constraint counts as met within this, in units of its row after scaling to length 1
 FLAT = 1e-12  # a row of a condensed constraint shorter than this, relative to its region's row, does not depend on u
@@ -85,7 +85,7 @@ def solve_miqp(system, x0, horizon=10, Q=None, R=None, P=None, most_nodes=100_00
         If `most_nodes` QPs did not settle the problem.
     SolverError
         If DAQP fails on a QP.
-    ImportError
+    MissingExtraError
         If DAQP is not installed.
 
     Notes
@@ -225,7 +225,7 @@ def _solve_qp(node, tol):
     try:
         import daqp
     except ImportError as error:
-        raise ImportError('solving the MIQP needs daqp: install it with pip install "mireach[data]"') from error
+        raise MissingExtraError("solving the MIQP", "daqp", "data") from error
     U, value, flag, _ = daqp.solve(
         node.H, node.f, node.A, node.b, np.full(len(node.b), -1e30), np.zeros(len(node.b), np.int32), primal_tol=tol
     )
