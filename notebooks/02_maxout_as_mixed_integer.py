@@ -356,36 +356,36 @@ for factor in (1, 1e3, 1e6, 1e7, 1e8):
 # nine binaries more; notebook 03 is about these).
 
 # %%
-from mireach.engines.milp import engine as milp
+from mireach.engines.milp.formulation import build
 
 loop = mr.case_study("double_integrator").loop
 half = loop.system.state_set.scale(0.5)
 v = np.array([[1.0, 0.0]])
 print(f"by the paper's count: {loop.network.binaries + len(loop.system.modes)} binaries")
 for bounds in ("interval", "lp"):
-    model = milp.build(loop, half, 1, bounds)
+    model = build(loop, half, 1, bounds)
     start = model.program.maximize(model.states[1], v[0]).value  # the relaxation
     print(f'bounds="{bounds}": {len(model.binaries)} binaries, relaxation {start:.4f}')
 
 # %% [markdown]
 # Bounds are the better, the smaller the set. So the engine goes one step further, unless it is told to keep to one
-# model for the whole set (`formulation="whole"`): it halves $\mathcal{F}$ again and again. On small boxes few channels
+# model for the whole set (`mr.Milp("whole")`): it halves $\mathcal{F}$ again and again. On small boxes few channels
 # are left that may win, boxes that cannot hold the maximum are dropped, and a handful of binaries remains for each of
-# the others (`formulation="split"`). On the clock:
+# the others (`mr.Milp("split")`). On the clock:
 
 # %%
 from time import perf_counter
 
 ways = {
-    "one model, interval": {"engine": "milp", "formulation": "whole", "bounds": "interval"},
-    "one model, lp": {"engine": "milp", "formulation": "whole", "bounds": "lp"},
-    "split": {"engine": "milp", "formulation": "split"},  # what engine="milp" does by itself
-    "cells": {"engine": "cells"},
+    "one model, interval": mr.Milp("whole", bounds="interval"),
+    "one model, lp": mr.Milp("whole", bounds="lp"),
+    "split": mr.Milp("split"),  # what engine="milp" does by itself
+    "cells": mr.Cells(),
 }
 values = []
-for name, options in ways.items():
+for name, engine in ways.items():
     begin = perf_counter()
-    values.append(mr.support(loop, half, v, **options).bound[0])
+    values.append(mr.support(loop, half, v, engine=engine).bound[0])
     print(f"{name:>19}: h(v) <= {values[-1]:.6f} in {perf_counter() - begin:.2f} s")
 
 # %% tags=["nbval-check-output"]

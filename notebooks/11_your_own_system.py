@@ -331,8 +331,8 @@ print(f"{entered(loop3, safe3, terminal3)[0]} for 200 disturbed trajectories")
 # %% [markdown]
 # Each step solves six MILPs. What makes them slow is the number of binaries that stay open, so the time grows with the
 # size of the set and of the network: begin with a coarse template and a generous $\bar\epsilon$, and pass
-# `time_limit=...` to be told instead of waiting. `mireach.approximation.error_directions(3)` is a template of 18
-# directions for three states.
+# `engine=mr.Milp(time_limit=...)` to be told instead of waiting. `mireach.approximation.error_directions(3)` is a
+# template of 18 directions for three states.
 
 # %% [markdown]
 # ## 6 When something does not fit

@@ -115,7 +115,7 @@ print(f"in the terminal set from step 37 on: {sequence[-1].contains(path[:, 37:]
 # ## 3 What makes the MILP quick
 #
 # Lemma 2 as it is printed has a binary for every channel and every mode, and one big-M by interval arithmetic.
-# `formulation="paper"` is that. "whole" is one model, too, with a big-M of its own for each row, from LPs, and
+# `mr.Milp("paper")` is that. "whole" is one model, too, with a big-M of its own for each row, from LPs, and
 # without channels that never win and modes that are never met. "split", the default, halves the state space
 # until few binaries are left: bounds of the loop that are affine in $x$ settle most boxes without any solver.
 # The three have to agree, and do, to what a MILP solver resolves.
@@ -125,7 +125,7 @@ V, F = tanks.directions[:2], safe.set
 bounds = {}
 for formulation in ("paper", "whole", "split"):
     begin = perf_counter()
-    bounds[formulation] = mr.support(tanks.loop, F, V, formulation=formulation).bound
+    bounds[formulation] = mr.support(tanks.loop, F, V, engine=mr.Milp(formulation)).bound
     print(f"{formulation:6s} {perf_counter() - begin:6.2f} s")
 
 # %% tags=["nbval-check-output"]
@@ -179,7 +179,7 @@ for k in (1, 2, 3):
     seconds = []
     for case, R in ((tanks, sequence[-1]), (four, sets[-1])):
         begin = perf_counter()
-        mr.support(case.loop, R, np.eye(case.system.state_size)[:1], steps=k, formulation="whole")
+        mr.support(case.loop, R, np.eye(case.system.state_size)[:1], steps=k, engine=mr.Milp("whole"))
         seconds.append(perf_counter() - begin)
     print(f"{k} {seconds[0]:12.2f} s {seconds[1]:12.2f} s")
 

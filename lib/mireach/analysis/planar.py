@@ -20,17 +20,16 @@ from shapely.errors import GEOSException
 from ..arithmetic.scaling import times
 from ..checks import positive_number, real_array, require_kind, whole_number
 from ..engines import exact
-from ..engines.base import EXACT
+from ..engines.base import EXACT, Escape
 from ..engines.cells import TOUCH, dynamics
 from ..engines.inputs import require_inputs
-from ..engines.steps import Escape
 from ..engines.units import own_units
 from ..errors import RegionError
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.region import Region, hulls, overlay
 from ..systems.loop import ClosedLoop
-from .invariance import SafeSet, safe_set
+from .safe_set import SafeSet, safe_set
 
 SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and far below what is seen in an area
 LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
