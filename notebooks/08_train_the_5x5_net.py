@@ -23,7 +23,7 @@
 # - why the data have holes in the corners, and that no controller could fill most of them;
 # - how well 681 numbers imitate the NMPC, and that training decides nothing outside the data.
 #
-# **What you need.** Notebook 05 (data, training, saturation) and eq. NL_DI from notebook 07. "Run all" takes about
+# **What you need.** Notebook 05 (data, training, saturation) and eq. (29), NL_DI from notebook 07. "Run all" takes about
 # half a minute, most of it for training.
 
 # %%
@@ -44,7 +44,7 @@ print(data)
 # %% [markdown]
 # ## 1. The optimal control problem
 #
-# The plant is the nonlinear double integrator (eq. NL_DI)
+# The plant is the nonlinear double integrator (eq. (29), NL_DI)
 #
 # $$f(x, u) = \begin{pmatrix} 1 & 1 \\ 0 & 1 \end{pmatrix} x + \begin{pmatrix} 0.5 \\ 1 \end{pmatrix} u
 #   + \begin{pmatrix} 0.025 \\ 0.025 \end{pmatrix} x^\top x,

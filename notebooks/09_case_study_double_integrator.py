@@ -20,7 +20,7 @@
 #
 # **What you will learn.**
 # - why the safe set takes many iterations here, which facet holds up the stopping rule, and which states are to blame;
-# - what eq. TerminationFmin measures, about the origin and about the equilibrium;
+# - what eq. (25), TerminationFmin measures, about the origin and about the equilibrium;
 # - how a proof about a disturbed PWA loop carries over to a plant without any disturbance;
 # - what a smaller, or a flatter, error set is worth.
 #
@@ -48,7 +48,7 @@ print(case)
 # $$x(k+1) = A^{(i)} x(k) + B^{(i)} \Phi(x(k)) + p^{(i)} + d(k) \quad\text{if } x(k) \in \mathcal{P}^{(i)}, \qquad
 #   d(k) \in \mathcal{D} = \{d : \|d\|_\infty \le 0.1186\}$$
 #
-# with nine square regions $\mathcal{P}^{(i)}$. It contains every step of the plant (eq. f) if
+# with nine square regions $\mathcal{P}^{(i)}$. It contains every step of the plant (eq. (28), f) if
 #
 # $$f(x, u) - f_{\text{PWA}}(x, u) \in \mathcal{D} \quad\text{for all } x \in \mathcal{X},\ u \in \mathcal{U},$$
 #
@@ -63,7 +63,7 @@ print("regions:", len(case.system.modes), " binaries of the network:", network.b
 # %% [markdown]
 # ## 2. The safe set, step by step
 #
-# Eq. Fk and Proposition Fmax, as in notebook 06, now with eight directions:
+# Eq. (21), Fk and Proposition Fmax, as in notebook 06, now with eight directions:
 #
 # $$\mathcal{F}_0 = \mathcal{X}, \qquad
 #   \mathcal{F}_{k+1} = \overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}_k) \cap \mathcal{X},
@@ -72,7 +72,7 @@ print("regions:", len(case.system.modes), " binaries of the network:", network.b
 # %%
 history = [X]
 while not (image := mr.outer_step(loop, history[-1], C)).is_subset(X) and len(history) < 200:
-    history.append(image & X)  # eq. Fk
+    history.append(image & X)  # eq. (21), Fk
 print("by hand: F_max = F_k with k =", len(history) - 1)
 
 # %% tags=["nbval-check-output"]
@@ -195,7 +195,7 @@ step_viewer(draw_attaining, len(safe.history), size=(6.5, 4.0))
 # ## 3. The terminal set
 #
 # From $\mathcal{F}_{\max}$ on, $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_{k-1})$
-# shrinks around where the trajectories end (eq. RminOver). Every $\overline{\mathcal{R}}_k$ is RPI. Eq. TerminationFmin
+# shrinks around where the trajectories end (eq. (24), RminOver). Every $\overline{\mathcal{R}}_k$ is RPI. Eq. (25), TerminationFmin
 # only says when to stop: for $\overline\epsilon = 10^{-3}$, at the first $k$ with
 #
 # $$\mathcal{S} \subseteq \overline{\mathcal{R}}_1(\mathcal{S}), \qquad
@@ -255,7 +255,7 @@ plt.show()
 # ## 4. Figure 3
 #
 # One trajectory of the *plant* from $x(0) = (5.5, -1.5)$, and the sets $\overline{\mathcal{R}}_i(\{x(0)\})$ in which
-# the PWA loop with its disturbance can be after $i$ steps (eq. ROverOver). They start from a single point.
+# the PWA loop with its disturbance can be after $i$ steps (eq. (19), ROverOver). They start from a single point.
 
 # %%
 start = case.starts[0]
@@ -361,7 +361,7 @@ for name, system in systems.items():
 # %% [markdown]
 # Each line: $k$ of $\mathcal{F}_{\max} = \mathcal{F}_k$, the areas of $\mathcal{F}_{\max}$ and of
 # $\overline{\mathcal{R}}_{\min}$ (found with the equilibrium as centre), Theorem 2's verdict, and whether
-# eq. TerminationFmin was ever met about the origin. Where it was not, the sequence came to rest without it. Its last
+# eq. (25), TerminationFmin was ever met about the origin. Where it was not, the sequence came to rest without it. Its last
 # set is RPI all the same, only the rule has nothing to say.
 
 # %%
@@ -383,7 +383,7 @@ plt.show()
 # **What to see.** Left: the four sets $\mathcal{D}$. Middle: $\mathcal{F}_{\max}$ changes little, and a smaller
 # $\mathcal{D}$ makes it *smaller* here, for it is made of forward images: $\mathcal{F}_{\max}$ is a safe set, not the
 # largest one. Right: the terminal set, which says where the plant ends up, gains most. (It also moves away from the
-# origin, which then lies close to its boundary: no good centre for eq. TerminationFmin.)
+# origin, which then lies close to its boundary: no good centre for eq. (25), TerminationFmin.)
 #
 # **A surprise.** The tight box and the minimax fit give the same sets. Look at the two fits:
 
@@ -404,7 +404,7 @@ print("p differs by", np.unique(shifts.round(4)), "in every region and component
 #
 # - The iteration could not end before the upper right corner of $\mathcal{F}_k$ was gone, where no controller can help.
 #   The corner stayed that long because of eight directions, not because of the network's extrapolation.
-# - Eq. TerminationFmin is a statement about a centre; the equilibrium is the natural one.
+# - Eq. (25), TerminationFmin is a statement about a centre; the equilibrium is the natural one.
 # - Lemma RkNonlinear and Theorem 2 turn sets of a disturbed PWA loop into guarantees for the undisturbed plant. The
 #   price of the detour is the size of the terminal set, and a better error set lowers it.
 #
@@ -425,4 +425,4 @@ print("p differs by", np.unique(shifts.round(4)), "in every region and component
 #   bounded inputs*, ACC 2008: the plant.
 #
 # **Next:** notebook 10 leaves the paper: exact sets instead of templates. **Exercise:** set ex09: the iteration by
-# hand, the largest disturbance bound, plant trajectories as counterexamples, eq. TerminationFmin, a bound too small.
+# hand, the largest disturbance bound, plant trajectories as counterexamples, eq. (25), TerminationFmin, a bound too small.

@@ -58,7 +58,7 @@ for name in cases:
 #
 # In the plane the cells are quickly found: begin with the regions $\mathcal{P}^{(i)}$ cut by $\mathcal{X}$, take
 # them through the network neuron by neuron, and split a polygon wherever the winning channel of
-# eq. maxout changes. `mireach.engines.cells.cells` does that.
+# eq. (8), maxout changes. `mireach.engines.cells.cells` does that.
 
 
 # %%
@@ -145,7 +145,7 @@ for name in cases:
 # ### What the template adds
 #
 # The images of the cells, widened by $\mathcal{D}$, *are* $\mathcal{R}_1(\mathcal{F}_{\max})$. So we can draw what the
-# outer set $\overline{\mathcal{R}}_1 = \{x : C x \le h_{\mathcal{R}_1}(C)\}$ (eq. Rover1) adds to it.
+# outer set $\overline{\mathcal{R}}_1 = \{x : C x \le h_{\mathcal{R}_1}(C)\}$ (eq. (18), Rover1) adds to it.
 
 
 # %%
@@ -183,7 +183,7 @@ plt.show()
 # ## 2 Why the stopping rule can fail
 #
 # The terminal set is $\overline{\mathcal{R}}_{\min} = \overline{\mathcal{R}}_{\bar k}(\mathcal{F}_{\max})$ with the
-# first $\bar k$ at which (eq. TerminationFmin)
+# first $\bar k$ at which (eq. (25), TerminationFmin)
 #
 # $$ S := \tfrac{1}{1+\bar\epsilon} \overline{\mathcal{R}}_{\bar k}(\mathcal{F}_{\max})
 #    \subseteq \overline{\mathcal{R}}_1(S) . $$
@@ -307,7 +307,7 @@ for name in cases:
 # ### Alpha is exactly 1 at a fixed point
 #
 # Theorem 1 asks for $\alpha > 1$ with $\alpha\, \overline{\mathcal{R}}_{k} \subseteq \overline{\mathcal{R}}_{k-1}$
-# (eq. StabCondFmin). Where the sequence has come to rest, $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_{k-1}$
+# (eq. (26), StabCondFmin). Where the sequence has come to rest, $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_{k-1}$
 # and $\alpha = 1$: the theorem says nothing there. It is enough that *one facet* rests. So $\alpha$ must be taken at
 # a $k$ at which the sequence still shrinks in every direction; any such $\overline{\mathcal{R}}_k$ is a stable set.
 #
@@ -316,7 +316,7 @@ for name in cases:
 # $$ \mathcal{R}_1(\alpha\, \overline{\mathcal{R}}_{k}) \subseteq \overline{\mathcal{R}}_{k}
 #    \quad\text{for some } \alpha > 1 , $$
 #
-# which eq. StabCondFmin implies (apply $\overline{\mathcal{R}}_1$ to both sides). `mireach.contraction` computes the
+# which eq. (26), StabCondFmin implies (apply $\overline{\mathcal{R}}_1$ to both sides). `mireach.contraction` computes the
 # largest such $\alpha$ by bisection, without looking at $\overline{\mathcal{R}}_{k-1}$.
 
 # %%
@@ -659,7 +659,7 @@ plt.show()
 #
 # ### Cut first, then cover
 #
-# Eq. Fk covers the image by the template first and cuts it by $\mathcal{X}$ afterwards. With $\overline{\,\cdot\,}$
+# Eq. (21), Fk covers the image by the template first and cuts it by $\mathcal{X}$ afterwards. With $\overline{\,\cdot\,}$
 # for the cover by the template, turn the order round:
 #
 # $$ \mathcal{F}_{k+1} = \overline{\mathcal{R}_1(\mathcal{F}_k) \cap \mathcal{X}} \cap \mathcal{F}_k . $$
@@ -803,7 +803,7 @@ print(f"\nreplayed: {x} -> {paper_case.loop.step(x, d).round(6)}, and x2 should 
 # ## Further reading
 #
 # - Raković, Kerrigan, Kouramas, Mayne, *Invariant approximations of the minimal robust positively invariant set*,
-#   IEEE Transactions on Automatic Control 50(3), 2005: where rules such as eq. TerminationFmin come from.
+#   IEEE Transactions on Automatic Control 50(3), 2005: where rules such as eq. (25), TerminationFmin come from.
 # - Blanchini, Miani, *Set-Theoretic Methods in Control*, Birkhäuser: contraction, ultimate boundedness, C-sets.
 #
 # **Next:** notebook 11 puts your own system and your own network in place of the paper's.

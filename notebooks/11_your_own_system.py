@@ -39,7 +39,7 @@ generator = torch.manual_seed(0)
 # ## 1 The template: five things to change
 #
 # The loop is $x(k+1) = A^{(i)} x(k) + B^{(i)} u(k) + p^{(i)} + d(k)$ if $(x(k), u(k)) \in \mathcal{P}^{(i)}$, with
-# $d(k) \in \mathcal{D}^{(i)}$ and $u(k) = \Phi(x(k))$ (eqs. SysWithDis, dinDi, UOfK). As an example, take a mass on a
+# $d(k) \in \mathcal{D}^{(i)}$ and $u(k) = \Phi(x(k))$ (eqs. (1), SysWithDis; (13), dinDi; (3), UOfK). As an example, take a mass on a
 # spring with a damper ($x_1$ position, $x_2$ velocity) and an actuator that pulls ($u \le 0$) twice as hard as it
 # pushes ($u \ge 0$). The mode depends on the *input*:
 #

@@ -64,7 +64,7 @@ small_multiples(pwa, [(rf"$\|d\|_\infty \leq {bound}$", {"amount": bound}) for b
 # **The lab.** Drag *disturbance bound*; drag the red ring to start elsewhere (or put the focus on it and use the arrow
 # keys); press *play* to see every $\mathcal{F}_k$ and $\overline{\mathcal{R}}_k$ in turn. The curve at the bottom fills
 # in by itself while you rest: the area of $\mathcal{F}_{\max}$ over the bound, up to the largest bound that has one. Do
-# not be surprised that the area *grows* at first: $\mathcal{F}_k$ keeps what one step can reach (eq. Fk), and a
+# not be surprised that the area *grows* at first: $\mathcal{F}_k$ keeps what one step can reach (eq. (21), Fk), and a
 # larger disturbance reaches more.
 
 # %%

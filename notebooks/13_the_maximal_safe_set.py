@@ -167,7 +167,7 @@ print("x1 =", str(step.state[0])[:60], "...")
 # ## 4 Exact reachable sets, and what covers add
 #
 # The same cells give $\mathcal{R}_k$ itself, image by image. With it the over-approximation of
-# $\overline{\mathcal{R}}_k$ (eq. ROverOver) can be seen:
+# $\overline{\mathcal{R}}_k$ (eq. (19), ROverOver) can be seen:
 
 # %%
 F, C, steps = safe["double_integrator"].set, cases["double_integrator"].directions, 6
