@@ -67,8 +67,8 @@ plant = system.with_disturbance([box, segment, point, diamond])  # eq. (13), din
 #
 # $$\begin{aligned}
 # -\mathbf{1} M (1 - \gamma_i) \le A^{(i)} x + B^{(i)} u + p^{(i)} + d - \tilde x^{(i)}
-#   &\le \mathbf{1} M (1 - \gamma_i) & &\text{(14a, }\mathtt{MI\_PWA\_ABpd}\text{)} \\
-# H^{(\mathcal{D}^{(i)})} d &\le h^{(\mathcal{D}^{(i)})} + \mathbf{1} M (1 - \gamma_i) & &\text{(14b, }\mathtt{MI\_PWA\_Hd}\text{)}
+#   &\le \mathbf{1} M (1 - \gamma_i) & &\text{(14a, MI\_PWA\_ABpd)} \\
+# H^{(\mathcal{D}^{(i)})} d &\le h^{(\mathcal{D}^{(i)})} + \mathbf{1} M (1 - \gamma_i) & &\text{(14b, MI\_PWA\_Hd)}
 # \end{aligned}$$
 #
 # There is one $d$ for all modes. The binary that selects the mode also selects the set in which $d$ must lie.

@@ -294,7 +294,8 @@ for z, found in about.items():
 # %% [markdown]
 # One negative bar suffices: the rule then fails for every small $\bar\epsilon$, and more iterations do not help. With
 # $z$ as centre the statement changes only a little:
-# $\overline{\mathcal{R}}_\infty \subseteq \overline{\mathcal{R}}_{\bar k} \subseteq z + (1+\bar\epsilon)(\overline{\mathcal{R}}_\infty - z)$.
+# $\overline{\mathcal{R}}_\infty \subseteq \overline{\mathcal{R}}_{\bar k}$ and
+# $\overline{\mathcal{R}}_{\bar k} \subseteq z + (1+\bar\epsilon)(\overline{\mathcal{R}}_\infty - z)$.
 # The equilibrium does not always help. A loop that jumps may have none, and then `centre="equilibrium"` reports this.
 
 # %% tags=["nbval-check-output"]
