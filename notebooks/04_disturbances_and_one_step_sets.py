@@ -181,7 +181,7 @@ print(by_cells.witness[0])
 
 # %% [markdown]
 # Both engines agree. The witness is the trajectory that attains the maximum. For two states there is a method without
-# an MILP, which also lets us *see* the set. $\mathcal{X}$ is divided into convex **cells**. On each cell one mode is
+# a MILP, which also lets us *see* the set. $\mathcal{X}$ is divided into convex **cells**. On each cell one mode is
 # active and the network is affine, $\Phi(x) = K x + g$. So $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})$ is the union of
 # the convex pieces
 #

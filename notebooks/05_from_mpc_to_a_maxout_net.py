@@ -263,7 +263,7 @@ print("outputs outside U:", int((np.abs(phi) > 1).sum()), " smallest:", phi.min(
 
 # %% [markdown]
 # A million samples are still no proof for all of $\mathcal{X}$. The library does not rely on them. Every engine checks
-# the assumption itself, at the vertices of all affine pieces or by an MILP, and rejects a loop with the raw network:
+# the assumption itself, at the vertices of all affine pieces or by a MILP, and rejects a loop with the raw network:
 
 # %%
 try:

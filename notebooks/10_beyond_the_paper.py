@@ -12,7 +12,7 @@
 # # Go beyond the paper: exact cells, better centres, tighter errors, many seeds, certificates
 #
 # **What you will do.** Draw the closed loops of both case studies as hundreds of affine pieces, and compute
-# $h_{\mathcal{R}_1}$ without an MILP. Find a network for which the paper's stopping rule never holds, find the reason,
+# $h_{\mathcal{R}_1}$ without a MILP. Find a network for which the paper's stopping rule never holds, find the reason,
 # and correct the rule. Shrink the error set of the double integrator from a square to a segment. Use a study of many
 # trained networks to see how typical the paper's numbers are, and what determines them. Write a certificate, check it
 # in exact arithmetic, and forge one.

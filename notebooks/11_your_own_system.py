@@ -263,7 +263,7 @@ plt.show()
 #
 # | `verdict` | meaning | what to change |
 # |---|---|---|
-# | `refuted` | the sequence has stopped or is empty; a *witness* leaves $\mathcal{X}$ | template, $\mathcal{D}$, network |
+# | `refuted` | the sequence stopped or is empty; a *witness* leaves $\mathcal{X}$ | template, $\mathcal{D}$, network |
 # | `unknown` | `max_iterations` was reached first, or a solver was stopped | more iterations, more time |
 #
 # "Refuted" refers to the sequence of Prop. 3, Fmax, *with this template*; other safe sets may exist. As an example,

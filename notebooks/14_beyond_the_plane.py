@@ -120,7 +120,7 @@ print(f"in the terminal set from step 37 on: {sequence[-1].contains(path[:, 37:]
 # This is `formulation="paper"`. "whole" is also a single model. It has a separate big-M for each row, computed by LPs,
 # and it omits channels that are never the largest and modes that are never active. "split", the default, halves the
 # state space until few binaries are left. Bounds of the loop that are affine in $x$ settle most boxes without any
-# solver. The three formulations must agree, and they do, to within the accuracy of an MILP solver.
+# solver. The three formulations must agree, and they do, to within the accuracy of a MILP solver.
 
 # %%
 V, F = tanks.directions[:2], safe.set
@@ -190,7 +190,7 @@ for k in (1, 2, 3):
 # %% [markdown]
 # ## What you saw
 #
-# - For $n > 2$ the same calls give the same guarantees, up to the accuracy of 1e-6 of an MILP solver.
+# - For $n > 2$ the same calls give the same guarantees, up to the accuracy of 1e-6 of a MILP solver.
 # - One template row that uses the physics, here the total amount of water, is worth more than many that do not.
 # - The time depends on how many binaries the bounds leave undecided, not on how many the formulation has.
 # - A certificate distinguishes bounds of a solver from proofs.
