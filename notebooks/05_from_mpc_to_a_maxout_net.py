@@ -318,9 +318,10 @@ for seed in (0, 2):
     print(f"{seed:4d} {leaky:15.4f} {((saturated(data.states) - data.inputs) ** 2).mean():29.4f}")
 
 # %% [markdown]
-# The leaky clipped loss usually gives the smaller error, by up to a factor of two. With the plain loss, the network
-# spends its few kinks (it has nine neurons) on keeping the plateaus flat. "Usually": training is not convex, and with
-# other seeds the order may change. The seed study in notebook 10 examines how much the seed affects the *sets*.
+# The leaky clipped loss usually gives the smaller error, by up to a factor of two. The plain loss penalises outputs
+# beyond the limits. So the network needs kinks to keep the plateaus flat, and with nine neurons it has only a few. We
+# say "usually" because training is not convex: with other seeds the order may change. The seed study in notebook 10
+# examines how much the seed affects the *sets*.
 #
 # ## 7. The network for the rest of the course
 #

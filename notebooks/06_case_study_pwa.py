@@ -162,10 +162,10 @@ for (name, v), here in zip(limits.items(), F_1.support(C_box)):
 
 # %% [markdown]
 # **What to see.** *Top* and *bottom* follow from the modes and $\mathcal{X}$ alone: $8.37 + 0.15$, and the edge of
-# $\mathcal{X}$. The *left* side has the smallest possible value. In the worst state $(0, -10)$ and around it, the
-# network applies the best input, full braking with $\Phi = +1$, so that $-8.15 + 1 - 0.15 = -7.30$. So three sides
-# agree with the paper's box $[-7.3, 8.91] \times [-10, 8.52]$ in every printed digit, for every network that brakes
-# there. The *right* side depends on the particular network.
+# $\mathcal{X}$. The *left* side is as close to the origin as any controller allows. In the worst state $(0, -10)$ and
+# around it, the network applies the best input, full braking with $\Phi = +1$, so that $-8.15 + 1 - 0.15 = -7.30$. So
+# three sides agree with the paper's box $[-7.3, 8.91] \times [-10, 8.52]$ in every printed digit, for every network
+# that brakes there. The *right* side depends on the particular network.
 
 # %% tags=["nbval-check-output"]
 print("Phi(0, -10) =", loop.network(np.array([0.0, -10.0])).round(6))
@@ -473,11 +473,12 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# **What to see.** The blue curve rises and then falls: for a while the sets shrink in every direction by several
-# percent, then more and more slowly, along a straight line in this scale. Where a facet does not move (red cross), the
-# blue value is missing and the orange one is not. Towards $\bar k$ both fall alike. The paper's number (dotted) is of
-# the same kind: in that sequence a contraction of about a millionth was left. This is about the feasibility tolerance
-# of a MILP solver. Only sets that are computed more precisely can distinguish such an $\alpha$ from 1.
+# **What to see.** The blue curve rises and then falls. For a while the sets shrink in every direction by several
+# percent. Then they shrink more and more slowly, along a straight line in this scale. Where a facet does not move (red
+# cross), the blue value is missing and the orange one is not. Towards $\bar k$ both fall alike. The paper's number
+# (dotted) is of the same kind: in that sequence a contraction of about a millionth was left. This is about the
+# feasibility tolerance of a MILP solver. Only sets that are computed more precisely can distinguish such an $\alpha$
+# from 1.
 #
 # For a *robust* statement of stability, take an earlier $k$. All these sets are RPI and attract all of
 # $\mathcal{F}_{\max}$, and a larger set has a wider tube.

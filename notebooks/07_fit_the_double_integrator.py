@@ -47,9 +47,9 @@ print(case)
 # $$f(x, u) = \begin{pmatrix} 1 & 1 \\ 0 & 1 \end{pmatrix} x + \begin{pmatrix} 0.5 \\ 1 \end{pmatrix} u
 #   + \begin{pmatrix} 0.025 \\ 0.025 \end{pmatrix} x^\top x \qquad\text{(eq. (29), NL_DI)}$$
 #
-# with $\|x\|_\infty \le 6$ and $|u| \le 2$. Only the *quadratic term* $0.025\, x^\top x$ is not affine. It is the same
-# in both components and does not depend on $u$. Nine regions $\mathcal{P}^{(i)}$, squares of side 4, divide
-# $\mathcal{X}$ like a chessboard.
+# with $\|x\|_\infty \le 6$ and $|u| \le 2$. Only the *quadratic term* $0.025\, x^\top x$ is not affine (*the bend* in
+# the figures). It is the same in both components and does not depend on $u$. Nine regions $\mathcal{P}^{(i)}$, squares
+# of side 4, divide $\mathcal{X}$ like a chessboard.
 
 # %%
 axis = np.linspace(-6, 6, 241)
@@ -85,8 +85,8 @@ print("A, B, p =", (theta + 0.0).round(4).tolist())
 print("errors between", errors.min().round(6), "and", errors.max().round(6))
 
 # %% [markdown]
-# **What to see.** The fit recovers $B$ exactly. It also recovers the linear part of $A$, plus $0.05$ times the centre
-# of the square in the column of $x_1$, which is the slope of the quadratic term there. The largest error is 0.118519,
+# **What to see.** The fit recovers $B$ exactly. $A$ is the linear part, plus the slope of the quadratic term at the
+# centre of the square: $0.05$ times the $x_1$ of the centre, in the column of $x_1$. The largest error is 0.118519,
 # which the paper rounds up to 0.1186.
 #
 # The library fits all nine regions. The case study contains the result (`case.fit`):
@@ -107,8 +107,8 @@ print(f"largest error on the grids of all nine regions: {fit.max_error:.6f}")
 #
 # On a grid this is a linear program ($\min t$ subject to $-t \le f_l(x_j, u_j) - \dots \le t$). Here we can also find
 # the solution by hand. Seen from the centre of a square, the quadratic term is $0.025 (\xi_1^2 + \xi_2^2)$ with
-# $|\xi_l| \le 2$. An affine map can match only its mean level. The term ranges from 0 to 0.2, so the best constant is
-# 0.1, and the error is 0.1.
+# $|\xi_l| \le 2$. By symmetry, an affine map can match only a constant. The term ranges from 0 to 0.2, so the best
+# constant is 0.1, and the error is 0.1.
 
 # %% tags=["nbval-check-output"]
 minimax = double_integrator_fit(method="minimax")
@@ -135,7 +135,7 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# **What to see.** The error is a parabola in each region, with a sharp kink where two regions meet (grey): there the
+# **What to see.** The error is a parabola in each region, with a sharp kink where two regions meet (grey). There the
 # slope changes abruptly from steeply rising to steeply falling. The two fits have the same slopes and differ by a
 # constant. Least squares keeps the error of the many inner points closer to zero and has a larger error at the edges.
 # Minimax balances both. Over the whole square the error is largest in the corners, which this cut does not show.

@@ -137,9 +137,9 @@ for k in shown:
     print(f"k = {k:2d}: {x} with u = {u:.1f} -> {after}  {'no data there' if no_data else 'data nearby'}")
 
 # %% [markdown]
-# It is always the upper right corner of $\mathcal{F}_k$, on $x_1 = 6$. As long as the image exceeds $\mathcal{X}$, the
-# network had no data there. This is *not* a mistake of the network. It brakes fully, and notebook 08 has shown that no
-# input can keep such states in $\mathcal{X}$. For the plant at $x_1 = 6$,
+# It is always the upper right corner of $\mathcal{F}_k$, on $x_1 = 6$. As long as the image exceeds $\mathcal{X}$, this
+# corner lies where the data set has no data. This is *not* a mistake of the network. It brakes fully, and notebook 08
+# has shown that no input can keep such states in $\mathcal{X}$. For the plant at $x_1 = 6$,
 #
 # $$x_1^+ = 6 + x_2 + 0.5\,u + 0.025\,(36 + x_2^2) \le 6 \quad\text{with } u = -2
 #   \quad\Longleftrightarrow\quad x_2 + 0.025\, x_2^2 \le 0.1 .$$

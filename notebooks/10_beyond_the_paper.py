@@ -88,8 +88,8 @@ plt.show()
 # %% [markdown]
 # Every polygon is one affine map. Top: the colour shows the mode, i.e. the four quadrants of case 1 and the chessboard
 # of case 2. Bottom: the colour shows the input in the middle of the cell. Dots mark cells on which the network is
-# saturated ($K = 0$, $u$ at a limit); they fill most of $\mathcal{X}$. There are many small cells where the control law
-# has a high curvature.
+# saturated ($K = 0$, $u$ at a limit); they fill most of $\mathcal{X}$. Small cells accumulate where the slope of the
+# control law changes quickly.
 #
 # ### The support function of R1 is a maximum over vertices
 #
@@ -599,7 +599,7 @@ sixteen = [
 print(f"with 16 directions {sum(found.verdict == 'proven' for found in sixteen)} of {len(sixteen)} of these have one")
 
 # %% [markdown]
-# One number, at a state far from all data points, separates the two groups: networks that do not brake (almost) fully
+# One number, at a state far from all data points, separates the two groups. Networks that do not brake (almost) fully
 # in the corner have no safe set with this template. The loss cannot show this. More training is not the only remedy:
 # with twice as many directions these loops have safe sets as well.
 #

@@ -11,9 +11,9 @@
 # %% [markdown]
 # # Certify your own system and your own network
 #
-# **What you will do.** Replace the paper's plant and network by your own plant and a ReLU network: first a
-# piecewise-affine plant whose mode depends on the input, then a nonlinear pendulum, then a plant with three states. For
-# each, compute the safe set, the terminal set, and a summary of what is proven.
+# **What you will do.** Replace the paper's plant and network by other plants and ReLU networks. The first plant is
+# piecewise affine, and its mode depends on the input. The second is a nonlinear pendulum. The third has three states.
+# For each, compute the safe set, the terminal set, and a summary of what is proven.
 #
 # **What you will learn.** Which five things `mireach` needs. How a nonlinear plant becomes a piecewise-affine one with
 # a *proven* error. What to do when there is no safe set. What the error messages look like.

@@ -129,9 +129,9 @@ for regions in (2, 3, 4):
 
 # %% [markdown] tags=["course"]
 # **What to see.** A finer fit has a smaller error, so the loop tolerates a larger multiple of it. With four regions it
-# does not even tolerate the error of the fit itself. For the same fit the loop tolerates a larger segment than box,
-# because the segment lies in the box. Using only the errors that can occur increases the tolerated disturbance by a
-# factor of one and a half or more.
+# does not even tolerate the error of the fit itself. For the same fit the loop tolerates a larger multiple of the
+# segment than of the box, because the segment lies in the box. Using only the errors that can occur increases the
+# tolerated disturbance by a factor of one and a half or more.
 
 # %% [markdown] tags=["course"]
 # ## 3. Save the result

@@ -192,8 +192,8 @@ for k in range(1, steps + 1):
     print(f"k = {k}: exact {inside:.3f}, cover {cover:.3f}, {cover / inside:.2f} times as large")
 
 # %% [markdown]
-# **What to see.** The exact sets are bent. The dashed template sets fill every concave part, and the next step starts
-# from the filled set. The errors accumulate step by step.
+# **What to see.** The exact sets are not convex. The dashed template sets fill every concave part, and the next step
+# starts from the filled set. The errors accumulate step by step.
 #
 # ### The attractor
 #

@@ -36,11 +36,11 @@ print(tanks)
 # %% [markdown]
 # ## 1 Three tanks with four modes
 #
-# Two pumps fill the outer tanks, a drain empties the middle one, and pipes connect the tanks: at the bottom, and at a
-# height of 30 cm, where water flows only if the level of a tank is higher. Let $x_1$ and $x_2$ be the deviations of the
-# outer levels from 30 cm. Their signs determine the mode, so there are four modes. All four meet at the setpoint, and a
-# disturbance of two millimetres decides which one is active. The network was trained on solutions of a mixed-integer
-# MPC.
+# Two pumps fill the outer tanks, and a drain empties the middle one. Pipes connect the tanks at the bottom and at a
+# height of 30 cm. Water flows through an upper pipe only if the level of a tank is higher than that. Let $x_1$ and
+# $x_2$ be the deviations of the outer levels from 30 cm. Their signs determine the mode, so there are four modes. All
+# four meet at the setpoint, and a disturbance of two millimetres decides which one is active. The network was trained
+# on solutions of a mixed-integer MPC.
 
 # %%
 for number, mode in enumerate(tanks.system.modes, start=1):
@@ -52,7 +52,7 @@ print(f"|d| <= {tanks.disturbance_bound} cm; {tanks.network}")
 # ## 2 The safe set
 #
 # The calls are the same as for two states. For $n > 2$ `mireach` selects the MILP of Lemma 2 by itself. The template is
-# the box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: the total amount of water in the three tanks changes more
+# the box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: the amount of water in all three tanks together changes more
 # slowly than any single level.
 
 # %%
@@ -117,10 +117,10 @@ print(f"in the terminal set from step 37 on: {sequence[-1].contains(path[:, 37:]
 # ## 3 What makes the MILP fast
 #
 # Lemma 2 as printed in the paper has a binary for every channel and every mode, and one big-M by interval arithmetic.
-# This is `formulation="paper"`. "whole" is also a single model. It has a separate big-M for each row, computed by LPs,
-# and it omits channels that are never the largest and modes that are never active. "split", the default, halves the
-# state space until few binaries are left. Bounds of the loop that are affine in $x$ settle most boxes without any
-# solver. The three formulations must agree, and they do, to within the accuracy of a MILP solver.
+# This is `formulation="paper"`. "whole" is also a single model. It has a separate big-M for each row, computed by LPs.
+# It omits channels that are never the largest and modes that are never active. "split", the default, halves the state
+# space until few binaries are left. Bounds of the loop that are affine in $x$ settle most boxes without any solver. The
+# three formulations must agree, and they do, to within the accuracy of a MILP solver.
 
 # %%
 V, F = tanks.directions[:2], safe.set
@@ -191,7 +191,7 @@ for k in (1, 2, 3):
 # ## What you saw
 #
 # - For $n > 2$ the same calls give the same guarantees, up to the accuracy of 1e-6 of a MILP solver.
-# - One template row that uses the physics, here the total amount of water, is worth more than many that do not.
+# - One template row that uses the physics, here the amount of water in all tanks, is worth more than many that do not.
 # - The time depends on how many binaries the bounds leave undecided, not on how many the formulation has.
 # - A certificate distinguishes bounds of a solver from proofs.
 #
