@@ -139,6 +139,8 @@ plt.show()
 # slope changes abruptly from steeply rising to steeply falling. The two fits have the same slopes and differ by a
 # constant. Least squares keeps the error of the many inner points closer to zero and has a larger error at the edges.
 # Minimax balances both. Over the whole square the error is largest in the corners, which this cut does not show.
+#
+# ## 4. The error over all of $\mathcal{X}$
 
 
 # %%
