@@ -48,8 +48,8 @@ print(f"{len(system.modes)} modes, |d| <= {case.disturbance_bound} in each, {loo
 #   \quad\text{if}\quad \begin{pmatrix} x(k) \\ u(k) \end{pmatrix} \in \mathcal{P}^{(i)}.$$
 #
 # By eq. (13), dinDi, the region of $(x, u)$ determines *which* disturbances are admissible. In the case study all four
-# sets are the same small box. To show what the model can do, we take four large and different sets. In a segment, the
-# disturbance acts on both states in a fixed ratio. A point is a constant disturbance; here it is zero.
+# sets are the same small box. To show what the model can do, we take four large and different sets. With a segment, the
+# disturbance acts on both states in a fixed ratio. With a point, it is constant; here it is zero.
 
 # %%
 box = mr.Polytope.box([-1.2, -0.6], [1.2, 0.6])

@@ -90,8 +90,8 @@ print("smallest of the feasible ones:", (data.states @ [0.491, 0.62]).min().roun
 # %% [markdown]
 # ## 2. The control law as a surface
 #
-# The data set contains the optimal inputs at 1000 random states. For 992 of them a solution exists. Over the plane they
-# show the law $u^*(x)$.
+# For the data set, the problem was solved at 1000 random states; 992 of them have a solution. The optimal inputs, drawn
+# over the plane, show the law $u^*(x)$.
 
 # %% tags=["nbval-check-output"]
 u_star = data.inputs[:, 0]
@@ -219,7 +219,8 @@ plt.show()
 #   \quad\text{with}\quad v = \max\{z,\, \underline{u}\}.$$
 #
 # It has two layers with two channels. `train` has already added them. To see the network before the projection, we
-# remove them: in the first of the two layers, the channel besides $\underline{u}$ *is* the raw output $z$.
+# remove them. In the first of the two layers, one channel is the limit $\underline{u}$, and the other *is* the raw
+# output $z$.
 
 # %%
 before, raise_up, cut_off = live.hidden[:-2], *live.hidden[-2:]

@@ -143,10 +143,10 @@ for name, found in maximal.items():
     print(f"given up less than a millionth: {found.given_up < 1e-6}")
 
 # %% [markdown]
-# Then *prove* that `set` is RPI. Its vertices are floats, and floats are fractions. `prove_rpi` divides the region into
-# convex pieces, reads every number as the fraction that it is, and builds the cells again without rounding. For every
-# piece of every cell it shows: the image, enlarged by $\mathcal{D}$, minus all pieces, is empty. The proof does not
-# depend on the code that found the set. Now we forge the set:
+# Then `set` is *proven* to be RPI. Its vertices are floats, and floats are fractions. `prove_rpi` divides the region
+# into convex pieces, reads every number as the fraction that it is, and builds the cells again without rounding. For
+# every piece of every cell it shows that the image, enlarged by $\mathcal{D}$, lies in the union of the pieces. The
+# proof does not depend on the code that found the set. Now we forge the set:
 
 # %% tags=["nbval-check-output"]
 S = maximal["pwa"].set
@@ -249,7 +249,7 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** $\mathcal{F}_{\max}$ soon disappears, while the maximal set still exists. In case 1 the maximal set
-# hardly shrinks before it disappears at once: beyond the last bound the lost corner spreads, step by step, over all of
+# hardly shrinks before it disappears abruptly: beyond the last bound the lost corner spreads, step by step, over all of
 # $\mathcal{X}$. `mr.largest_disturbance(loop)` finds these bounds by bisection, to $10^{-4}$. Near them the iteration
 # takes hundreds of steps, so the computation takes a minute or two. The results are listed here:
 #
