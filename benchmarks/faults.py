@@ -209,8 +209,8 @@ FAULTS = (
         "invariance",
         "analysis/terminal_set.py",
         "terminal_set starts from the rounded support of F_max",
-        "history, alphas, image, h, after = [F], [], found.found, F.bound(V), found.bound",
-        "history, alphas, image, h, after = [F], [], found.found, F.support(V), found.bound",
+        "h, history = F.bound(V), [F]",
+        "h, history = F.support(V), [F]",
     ),
     Fault(
         "invariance",

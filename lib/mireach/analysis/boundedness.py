@@ -10,6 +10,7 @@ from ..checks import require_kind
 from ..engines.base import Engine
 from ..engines.inputs import violating_state
 from ..results import Result, Verdict
+from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.pwa import NonlinearSystem
 from .comparison import compare, weaker
@@ -64,6 +65,24 @@ def ultimately_bounded(
     UltimateBound
         "proven" if f - f_PWA lies in D^(i) everywhere (by ball arithmetic), F_max is RPI and in X, and
         the terminal set is a C-set reached from it.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of another kind.
+
+    See Also
+    --------
+    fit_pwa : an approximation whose disturbance sets hold its error.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> case = mr.case_study("double_integrator")
+    >>> safe = mr.safe_set(case.loop)
+    >>> plant = case.plant
+    >>> print(mr.ultimately_bounded(plant, case.loop, safe, mr.terminal_set(case.loop, safe)))
+    ultimately bounded: proven; all conditions hold
     """
     require_kind(plant, NonlinearSystem, "plant")
     require_kind(safe, SafeSet, "safe")
@@ -73,15 +92,16 @@ def ultimately_bounded(
         (prove_error(plant.f, [mode], X, U, mode.disturbance.H).bound[0] <= mode.disturbance.h).all()
         for mode in loop.system.modes
     )
-    sets = [safe.set, *terminal.history[1:]] if safe.verdict is Verdict.PROVEN else []
+    F_max = safe.set if safe.verdict == Verdict.PROVEN else None
+    sets = [] if F_max is None else [F_max, *terminal.history[1:]]
     steps = [compare(loop, F, G.H, G.h, engine, cutoff=G.h) for F, G in zip([*sets[:1], *sets], sets)]
     conditions = {
         "f - f_PWA lies in D for every mode": bool(within),
         "Phi lies in the plant's U": U.is_subset(plant.input_set) or violating_state(loop, plant.input_set) is None,
-        "F_max is RPI": bool(steps) and steps[0].holds.all() and safe.set.is_subset(X),
-        "F_max lies in the plant's X": bool(sets) and safe.set.is_subset(plant.state_set),
+        "F_max is RPI": bool(steps) and steps[0].holds.all() and sets[0].is_subset(X),
+        "F_max lies in the plant's X": bool(sets) and sets[0].is_subset(plant.state_set),
         "the terminal set is reached from F_max": bool(sets)
-        and _same(terminal.history[0], safe.set)
+        and _same(terminal.history[0], sets[0])
         and all(step.holds.all() for step in steps)
         and all(after.is_subset(before) for before, after in pairwise(sets)),
         "the terminal set has the origin inside": bool((terminal.set.h > 0).all()),
@@ -92,6 +112,6 @@ def ultimately_bounded(
     return UltimateBound(Verdict.PROVEN, conditions, weaker(*(step.settled for step in steps)))
 
 
-def _same(P, Q):
+def _same(P: Polytope, Q: Polytope) -> bool:
     """Whether two polytopes have the same rows."""
     return np.array_equal(P.H, Q.H) and np.array_equal(P.h, Q.h)

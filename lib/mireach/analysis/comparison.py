@@ -138,6 +138,8 @@ def compare(
     try:
         found, stopped = support(loop, F, V, engine=engine, cutoff=cutoff, warm_start=warm_start), ""
     except SolverStopped as stop:
+        if stop.support is None:
+            raise
         found, stopped = stop.support, f"; {stop}"
     bound, rests = found.bound, found.rests_on
     holds = ~asked | (bound <= limit + (0.0 if tol is None else tol))

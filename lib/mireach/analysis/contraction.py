@@ -73,9 +73,9 @@ def contraction(
     if (R.H @ c >= R.h).any():
         return np.nan
 
-    def holds(alpha):
+    def holds(alpha: float) -> bool:
         grown = scaled(R, alpha, c)
-        return grown.is_subset(X) and (support(loop, grown, R.H, engine=engine, cutoff=R.h).bound <= R.h).all()
+        return grown.is_subset(X) and bool((support(loop, grown, R.H, engine=engine, cutoff=R.h).bound <= R.h).all())
 
     low, high = 1.0, largest
     while high - low > accuracy:
@@ -115,4 +115,4 @@ def scaled(R: Polytope, s: float, c: Array) -> Polytope:
     """c + s (R - c), its offsets rounded upward."""
     s, centre = binary(s), binary(c)
     offsets = [above(s * b + (1 - s) * dot(a, centre)) for a, b in zip(binary(R.H), binary(R.h))]
-    return Polytope(R.H, offsets)
+    return Polytope(R.H, np.array(offsets))

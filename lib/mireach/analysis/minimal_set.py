@@ -11,7 +11,7 @@ from ..engines.units import own_units
 from ..results import Result, Verdict
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from ..typing import ArrayLike
+from ..typing import Array, ArrayLike
 from .arguments import Centre, centre_point, template, with_rows
 from .comparison import CLEAR
 from .contraction import scaled
@@ -98,7 +98,7 @@ def scaled_minimal_set(
     --------
     >>> import mireach as mr
     >>> print(mr.scaled_minimal_set(mr.case_study("pwa").loop, mr.directions(8)))
-    scaled minimal set: proven; (1 + epsilon) R46 is RPI
+    scaled minimal set: proven; (1 + epsilon) R27 is RPI
     """
     epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
     engine = engine_for(loop, engine)
@@ -115,7 +115,7 @@ def scaled_minimal_set(
             reason = f"R{k} leaves the state set"
             break
         check = check_rpi(loop, candidate, engine, tol=tol)
-        if check.verdict is Verdict.PROVEN:
+        if check.verdict == Verdict.PROVEN:
             found, reason = candidate, f"(1 + epsilon) R{k} is RPI"
             break
         if (np.abs(after - h) * weights).max() <= CLEAR:
@@ -129,7 +129,15 @@ def scaled_minimal_set(
     return MinimalSet(found, k, history, verdict, reached_at, reason)
 
 
-def _steps_into(loop, safe, target, V, engine, tol, max_steps):
+def _steps_into(
+    loop: ClosedLoop,
+    safe: SafeSet | Polytope,
+    target: Polytope,
+    V: Array,
+    engine: Engine,
+    tol: float | None,
+    max_steps: int,
+) -> int | None:
     """First j with R_j-bar(F_max) in the target, or None."""
     F = set_to_start_from(safe)
     V = with_rows(V, F.H)

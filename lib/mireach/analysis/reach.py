@@ -1,7 +1,6 @@
 """Reachable sets: support functions by any engine, outer steps and outer sequences."""
 
 import warnings
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -91,7 +90,7 @@ def support(
         require_inputs(loop, engine.time_limit)
         if engine.time_limit is not None:
             left = engine.time_limit - (perf_counter() - begin)
-            engine = replace(engine, time_limit=max(left, LEAST_TIME))
+            engine = engine.within(max(left, LEAST_TIME))
         found = engine.support(units.loop, units.polytope(F), rows, steps, cutoff=cutoff, warm_start=warm_start)
     except SolverStopped as stop:
         raise units.stopped(stop, factor, engine.resolution, query) from stop
@@ -102,8 +101,13 @@ def _require_warm_start(warm_start: Support, query: Query) -> None:
     """Raise ValueError unless the bounds of an earlier answer hold for this question."""
     require_kind(warm_start, Support, "warm_start")
     before = warm_start.query
-    same = before is not None and before.loop is query.loop and before.steps == query.steps
-    if not (same and np.array_equal(before.V, query.V) and query.F.is_subset(before.F)):
+    if (
+        before is None
+        or before.loop is not query.loop
+        or before.steps != query.steps
+        or not np.array_equal(before.V, query.V)
+        or not query.F.is_subset(before.F)
+    ):
         raise ValueError("warm_start answers another question: give one for the same loop, V and steps, and a larger F")
 
 

@@ -12,7 +12,7 @@ from ..engines.units import own_units
 from ..results import Result, Verdict
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from ..typing import Array
+from ..typing import Array, Rational
 from .arguments import tolerance
 from .comparison import CLEAR, Comparison, compare
 
@@ -110,7 +110,7 @@ def check_rpi(
         return RPICheck(Verdict.PROVEN, margin, None, f"R1(F) lies in F{within}; {found.settled}", found.settled)
     if escape is not None:
         row, witness = escape
-        excess = dot(binary(F.H[row]), rational(witness.exact.after)) - binary(F.h[row])
+        excess = exact_excess(witness, F.H[row], F.h[row])
         reason = f"facet {row + 1} is passed by {nearest(excess):.3g}: {witness}{decimal_hint(loop, F.H[row], excess)}"
         return RPICheck(Verdict.REFUTED, margin, witness, reason, EXACT)
     worst = found.worst
@@ -141,7 +141,14 @@ def outside(loop: ClosedLoop, F: Polytope) -> RPICheck | None:
     return None
 
 
-def decimal_hint(loop: ClosedLoop, v: Array, excess) -> str:
+def exact_excess(witness: Witness, v: Array, limit: float) -> Rational:
+    """By how much the exact step of a witness passes v x <= limit, as an fmpq."""
+    if witness.exact is None or witness.exact.after is None:
+        raise ValueError("the witness holds no step in fractions")
+    return dot(binary(v), rational(witness.exact.after)) - binary(limit)
+
+
+def decimal_hint(loop: ClosedLoop, v: Array, excess: Rational) -> str:
     """What to add to a message where a limit is passed by no more than the rounding of decimals to floats."""
     weight = own_units(loop).rows(np.asarray(v, float)[None])[1][0]
     if abs(nearest(excess)) * weight > CLEAR:
@@ -151,9 +158,10 @@ def decimal_hint(loop: ClosedLoop, v: Array, excess) -> str:
 
 def require_rpi(loop: ClosedLoop, F: Polytope, V: Array, engine: Engine, tol: float | None) -> Comparison:
     """The Comparison of R_1(F) with the rows of F among V; ValueError unless F lies in X and is RPI for this loop."""
-    beyond = outside(loop, F)
-    found = None if beyond is not None else compare(loop, F, V, F.offsets(V), engine, tol)
-    if found is None or not found.holds.all():
-        reason = beyond.reason if found is None else check_rpi(loop, F, engine, tol=tol).reason
-        raise ValueError(f"the set to start from is not shown to be RPI for this loop: {reason}")
-    return found
+    check = outside(loop, F)
+    if check is None:
+        found = compare(loop, F, V, F.offsets(V), engine, tol)
+        if found.holds.all():
+            return found
+        check = check_rpi(loop, F, engine, tol=tol)
+    raise ValueError(f"the set to start from is not shown to be RPI for this loop: {check.reason}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..arithmetic.rational import binary, dot, nearest, rational
+from ..arithmetic.rational import nearest
 from ..checks import require_kind, whole_number
 from ..engines.base import EXACT, SOLVER, Engine, Support, Witness
 from ..engines.registry import engine_for
@@ -16,7 +16,7 @@ from ..systems.loop import ClosedLoop
 from ..typing import ArrayLike
 from .arguments import template, tolerance, with_rows
 from .comparison import compare
-from .rpi import decimal_hint
+from .rpi import decimal_hint, exact_excess
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +135,11 @@ def safe_set(
             h, history = smaller, [*history, following]
             bar.update()
     escape, worst = found.first_escape(), found.worst
-    excess, witness = (found.bound - limit)[worst], image.witness[worst]
+    excess, witness = (found.bound - limit)[worst], found.found.witness[worst]
     if escape is not None:
         worst, witness = escape
-        exact_excess = dot(binary(V[worst]), rational(witness.exact.after)) - binary(limit[worst])
-        excess, hint = nearest(exact_excess), decimal_hint(loop, V[worst], exact_excess)
+        passed = exact_excess(witness, V[worst], limit[worst])
+        excess, hint = nearest(passed), decimal_hint(loop, V[worst], passed)
     leaves = f"R1(F{k}) leaves X by {excess:.3g}: {witness}{hint if escape is not None else ''}"
     if rests:
         still = (smaller >= h).all()
@@ -150,13 +150,13 @@ def safe_set(
         verdict, reason = Verdict.REFUTED, f"F{k + 1} is empty: {leaves}"
     else:
         verdict, reason = Verdict.UNKNOWN, f"max_iterations = {max_iterations} came first; {leaves}"
-    return SafeSet(None, k, history, verdict, reason, witness, EXACT if verdict is Verdict.REFUTED else "")
+    return SafeSet(None, k, history, verdict, reason, witness, EXACT if verdict == Verdict.REFUTED else "")
 
 
 def set_to_start_from(safe: SafeSet | Polytope) -> Polytope:
     """The Polytope of a SafeSet, or the Polytope itself."""
     require_kind(safe, (SafeSet, Polytope), "safe")
-    if isinstance(safe, SafeSet) and safe.verdict is not Verdict.PROVEN:
+    if isinstance(safe, SafeSet) and safe.verdict != Verdict.PROVEN:
         raise ValueError(f"there is no safe set to start from: {safe.reason}")
     F = safe.set if isinstance(safe, SafeSet) else safe
     if F is None or F.is_empty:

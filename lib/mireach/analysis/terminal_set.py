@@ -8,7 +8,7 @@ from tqdm.auto import tqdm
 from ..arithmetic.rational import binary
 from ..checks import positive_number, whole_number
 from ..engines import exact
-from ..engines.base import Engine
+from ..engines.base import Engine, Witness
 from ..engines.registry import engine_for
 from ..engines.steps import attained, farthest_step
 from ..results import Result
@@ -135,7 +135,7 @@ def terminal_set(
     >>> loop = mr.case_study("pwa").loop
     >>> terminal = mr.terminal_set(loop, mr.safe_set(loop, mr.directions(8)), mr.directions(8))
     >>> print(terminal)
-    terminal set: R51 of 51 steps; eq. TerminationFmin holds at k = 51; alpha = 1.0000009
+    terminal set: R43 of 43 steps; eq. TerminationFmin holds at k = 43; alpha = 1.0000202
 
     Notes
     -----
@@ -145,12 +145,15 @@ def terminal_set(
     """
     F = set_to_start_from(safe)
     epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
-    engine, tol, c = engine_for(loop, engine), tolerance(tol), centre_point(loop, centre)
+    engine, tol = engine_for(loop, engine), tolerance(tol)
+    c = centre_point(loop, centre)
     V = with_rows(template(loop, C), F.H)
     found = require_rpi(loop, F, V, engine, tol)
-    history, alphas, image, h, after = [F], [], found.found, F.bound(V), found.bound
-    still = image.resolution if tol is None else tol
-    criterion, stagnant, settled = False, False, found.settled
+    image, after, settled = found.found, found.bound, found.settled
+    h, history = F.bound(V), [F]
+    alphas: list[float] = []
+    still = image.resolution if tol is None else tol  # smaller changes count as none
+    criterion = stagnant = False
     with tqdm(total=max_steps, desc="terminal set", disable=not progress) as bar:
         while not (criterion or stagnant) and len(alphas) < max_steps:
             smaller = np.minimum(after, h)
@@ -158,7 +161,8 @@ def terminal_set(
             stagnant, same = (smaller >= h - still).all(), (smaller >= h).all()
             reach = R.bound(V)
             alphas.append(growth(V, reach, h, c))
-            h, history, settled = smaller, [*history, R], weaker(settled, image.rests_on)
+            settled = weaker(settled, image.rests_on)
+            h, history = smaller, [*history, R]
             image = support(loop, R, V, engine=engine, warm_start=image)
             after = image.bound
             criterion = _is_near_limit(loop, R, reach, after, V, epsilon, c, engine)
@@ -174,24 +178,34 @@ def terminal_set(
             reason += '; try centre="equilibrium"'
     else:
         reason = f"max_steps = {max_steps} came first"
-    alpha, inner_radius = alphas[-1], ((reach - V @ c) / np.linalg.norm(V, axis=1)).min()
+    alpha = alphas[-1]
+    inner_radius = ((reach - V @ c) / np.linalg.norm(V, axis=1)).min()
     return TerminalSet(
-        R,
-        k,
-        history,
-        criterion,
-        reason,
-        epsilon,
-        c,
-        alpha,
-        (alpha - 1) * inner_radius,
-        bool(alpha > 1),
-        np.array(alphas),
-        settled,
+        set=R,
+        steps=k,
+        history=history,
+        criterion=criterion,
+        reason=reason,
+        epsilon=epsilon,
+        centre=c,
+        alpha=alpha,
+        delta_max=(alpha - 1) * inner_radius,
+        stable=bool(alpha > 1),
+        alphas=np.array(alphas),
+        settled=settled,
     )
 
 
-def _is_near_limit(loop, R, reach, after, V, epsilon, c, engine):
+def _is_near_limit(
+    loop: ClosedLoop,
+    R: Polytope,
+    reach: Array,
+    after: Array,
+    V: Array,
+    epsilon: float,
+    c: Array,
+    engine: Engine,
+) -> bool:
     """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
 
     `reach` and `after` are upper bounds on the support functions of R and of R_1(R) along V. What S must lie in is
@@ -202,7 +216,7 @@ def _is_near_limit(loop, R, reach, after, V, epsilon, c, engine):
         return False  # clearly, S is not even in R_1-bar(R)
     if not R.contains(c):
         return False
-    S = scaled(R, np.nextafter(1 / (1 + epsilon), 2), c)
+    S = scaled(R, float(np.nextafter(1 / (1 + epsilon), 2)), c)
     reach = S.bound(V)
     if (reach > after).any():  # S is not even in R_1-bar(R)
         return False
@@ -212,12 +226,14 @@ def _is_near_limit(loop, R, reach, after, V, epsilon, c, engine):
     )
 
 
-def _attains(loop, S, v, limit, witness):
+def _attains(loop: ClosedLoop, S: Polytope, v: Array, limit: float, witness: Witness | None) -> bool:
     """Whether a step from S reaches the limit along v, without rounding."""
-    value, limit = attained(loop, S, v, witness), binary(limit)
-    if value is not None and value >= limit:
+    if witness is None:
+        return False
+    value, exact_limit = attained(loop, S, v, witness), binary(limit)
+    if value is not None and value >= exact_limit:
         return True
     step = farthest_step(loop, S, v, witness.states[0], int(witness.modes[0]))
     if step is None and loop.system.state_size == 2:
         step = exact.farthest_steps(loop, S, v[None])[0]
-    return step is not None and step.value >= limit
+    return bool(step is not None and step.value >= exact_limit)

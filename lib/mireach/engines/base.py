@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import ClassVar, NamedTuple
 
@@ -142,6 +142,10 @@ class Engine(ABC):
     def software(self) -> str:
         """The program that computes the bounds, as a certificate names it."""
         return self.name
+
+    def within(self, seconds: float) -> "Engine":
+        """This engine with another time limit."""
+        return replace(self, time_limit=seconds)  # type: ignore[type-var]  # a subclass is a dataclass
 
     @abstractmethod
     def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None) -> Support:
