@@ -1,83 +1,10 @@
-"""The inner loops of the plane that are worth compiling.
-
-numba compiles them when they are first used, which takes some seconds, and keeps the result on disk: in __pycache__
-beside this file or in the user's cache folder, else in the system's temporary folder. Where nothing can be written,
-every process compiles anew.
-"""
+"""The inner loops of the plane that are worth compiling (`compilation`)."""
 
 import math
-import os
-import stat
-import tempfile
-from functools import lru_cache
-from pathlib import Path
 
-import numba
 import numpy as np
 
-
-def njit(cache):
-    """The decorator numba.njit for functions that also work without a place for compiled code.
-
-    Parameters
-    ----------
-    cache : bool
-        Keep compiled code on disk if possible. numba itself raises if it finds no folder that it can write, if the disk
-        is full, or if what it kept cannot be read.
-    """
-
-    def compiled(function):
-        found = _kept(function) if cache else None
-        return numba.njit(function) if found is None else found
-
-    return compiled
-
-
-def _kept(function):
-    """The function compiled and kept on disk, or None where no folder can be written."""
-    try:
-        found = numba.njit(cache=True)(function)
-    except (RuntimeError, OSError):  # numba finds no folder
-        usual = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = _private_folder()
-        try:
-            found = numba.njit(cache=True)(function)
-        except (RuntimeError, OSError):
-            return None
-        finally:
-            numba.config.CACHE_DIR = usual
-    code = getattr(found, "_cache", None)  # there is none where compilation is switched off
-    for name in ("load_overload", "save_overload"):
-        if hasattr(code, name):
-            setattr(code, name, _or_none(getattr(code, name)))
-    return found
-
-
-@lru_cache(maxsize=1)
-def _private_folder():
-    """A temporary folder that nobody else can write, since what is kept there will be run; "" if there is none."""
-    user = os.getuid() if hasattr(os, "getuid") else None
-    try:
-        folder = Path(tempfile.gettempdir()) / f"mireach-{user}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
-        return ""
-    own = user is None or (found.st_uid == user and not found.st_mode & 0o077)  # Windows has one such folder per user
-    return str(folder) if own and stat.S_ISDIR(found.st_mode) else ""
-
-
-def _or_none(function):
-    """The same function, with None in place of any error: code that is not kept is compiled anew."""
-
-    def tried(*arguments):
-        try:
-            return function(*arguments)
-        except Exception:
-            return None
-
-    return tried
-
+from .compilation import Kernel
 
 EMPTY, DOUBTFUL, FAT = 0, 1, 2  # what `polygon` says of a set: see there
 ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
@@ -85,7 +12,7 @@ LEAST = 1e-290  # covers what they lose where numbers are too small for a float'
 NEEDLE = 1e-3  # two rows of length about 1 meet well if their determinant is at least this
 
 
-@njit(cache=True)
+@Kernel
 def _exponents(H, h, unit):
     """Exponents e of units 2^e for the coordinates, to `unit` (2,): medians of where rows cut the axes.
 
@@ -115,7 +42,7 @@ def _exponents(H, h, unit):
             unit[j] = np.sort(cuts[:count])[count // 2]
 
 
-@njit(cache=True)
+@Kernel
 def _in_units(H, h, unit, row, offset):
     """Rows H x <= h for x in units of 2^unit, each scaled by a power of two to entries below 1: row z <= offset.
 
@@ -130,14 +57,14 @@ def _in_units(H, h, unit, row, offset):
             row[r, 0], row[r, 1], offset[r] = 0.0, 0.0, np.sign(h[r])
             continue
         for j in range(2):
-            row[r, j] = math.ldexp(H[r, j], unit[j] - most)
+            row[r, j] = np.ldexp(H[r, j], unit[j] - most)
         if h[r] != 0 and math.frexp(h[r])[1] - most > 400:
             return False
-        offset[r] = math.ldexp(h[r], -most)
+        offset[r] = np.ldexp(h[r], -most)
     return True
 
 
-@njit(cache=True)
+@Kernel
 def polygon(H, h, parallel, tol):
     """The vertices of {x : H x <= h} in the plane, if its rows leave no half-plane free and it holds a point.
 
@@ -184,11 +111,11 @@ def polygon(H, h, parallel, tol):
     corners = np.empty(local.shape)
     for k in range(len(local)):
         for j in range(2):
-            corners[k, j] = math.ldexp(local[k, j], unit[j])
+            corners[k, j] = np.ldexp(local[k, j], unit[j])
     return kind, corners, local, row, offset, unit
 
 
-@njit(cache=True)
+@Kernel
 def _corners(row, offset, parallel, tol):
     """The corners of {z : row z <= offset}: kind, corners (v, 2), and the largest coordinates (2,)."""
     none, rows = np.empty((0, 2)), len(offset)
@@ -258,7 +185,7 @@ def _corners(row, offset, parallel, tol):
     return FAT, local, far
 
 
-@njit(cache=True)
+@Kernel
 def _tight_pair(v0, v1, local, row, offset):
     """A corner that is highest along v, and two rows through it that v lies between, to within rounding: (k, i, j).
 
@@ -282,7 +209,7 @@ def _tight_pair(v0, v1, local, row, offset):
     return best, i, j
 
 
-@njit(cache=True)
+@Kernel
 def _dual(v0, v1, local, row, offset):
     """Weak duality, v x = y row x + (v - row'y) x <= y offset + |v - row'y| |x| for the y >= 0 of two rows.
 
@@ -307,7 +234,7 @@ def _dual(v0, v1, local, row, offset):
     return value, rest0, rest1
 
 
-@njit(cache=True)
+@Kernel
 def _extent(local, row, offset):
     """A number that no coordinate of a FAT set exceeds; inf where that is not proven.
 
@@ -320,7 +247,7 @@ def _extent(local, row, offset):
     return most / (1 - left) * (1 + ROUNDING) + LEAST if left < 0.5 else np.inf
 
 
-@njit(cache=True)
+@Kernel
 def in_units(v, unit):
     """v (n,) for x in units of 2^unit, scaled by a power of two to entries below 1."""
     most, scaled = -10000, np.zeros(len(v))
@@ -329,11 +256,11 @@ def in_units(v, unit):
             most = max(most, math.frexp(v[j])[1] + unit[j])
     for j in range(len(v)):
         if v[j] != 0:
-            scaled[j] = math.ldexp(v[j], unit[j] - most)
+            scaled[j] = np.ldexp(v[j], unit[j] - most)
     return scaled
 
 
-@njit(cache=True)
+@Kernel
 def inclusion(V, w, local, row, offset, unit):
     """Whether v x <= w holds in a FAT set of the plane, for each row v of V: array (k,) of 1, of -1 if not, 0 in doubt.
 
@@ -349,8 +276,8 @@ def inclusion(V, w, local, row, offset, unit):
                 most = max(most, math.frexp(V[k, j])[1] + unit[j])
         if most == -10000 or (w[k] != 0 and math.frexp(w[k])[1] - most > 400):
             continue
-        v0, v1 = math.ldexp(V[k, 0], unit[0] - most), math.ldexp(V[k, 1], unit[1] - most)
-        limit = math.ldexp(w[k], -most)
+        v0, v1 = np.ldexp(V[k, 0], unit[0] - most), np.ldexp(V[k, 1], unit[1] - most)
+        limit = np.ldexp(w[k], -most)
         value, rest0, rest1 = _dual(v0, v1, local, row, offset)
         value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
         if value + ROUNDING * abs(value) + LEAST <= limit:
@@ -372,7 +299,7 @@ def inclusion(V, w, local, row, offset, unit):
     return (answer.min() if len(w) else 1), answer
 
 
-@njit(cache=True)
+@Kernel
 def dual_bounds(V, local, row, offset, unit):
     """Upper bounds of v x over a FAT set of the plane for each row v of V, by weak duality with its rounding counted.
 
@@ -385,14 +312,14 @@ def dual_bounds(V, local, row, offset, unit):
             if V[k, j] != 0:
                 most = max(most, math.frexp(V[k, j])[1] + unit[j])
         if most > -10000:
-            v0, v1 = math.ldexp(V[k, 0], unit[0] - most), math.ldexp(V[k, 1], unit[1] - most)
+            v0, v1 = np.ldexp(V[k, 0], unit[0] - most), np.ldexp(V[k, 1], unit[1] - most)
             value, rest0, rest1 = _dual(v0, v1, local, row, offset)
             value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
-            bound[k] = math.ldexp(value + ROUNDING * abs(value) + LEAST, most)
+            bound[k] = np.ldexp(value + ROUNDING * abs(value) + LEAST, most)
     return bound
 
 
-@njit(cache=True)
+@Kernel
 def around(points):
     """Points (k, 2) on the boundary of a convex set, counter-clockwise, without those between two others."""
     count = len(points)
@@ -419,7 +346,7 @@ def around(points):
     return points[np.array([np.argmin(along), np.argmax(along)])]
 
 
-@njit(cache=True)
+@Kernel
 def hull(points, turn):
     """The corners of the convex hull of points (k, 2), sorted by the first coordinate: array (v,) of int.
 
@@ -443,7 +370,7 @@ def hull(points, turn):
     return chain[: max(count, 1)].copy()
 
 
-@njit(cache=True)
+@Kernel
 def membership(x, H, h, tol):
     """Whether H x <= h + tol, tol (l,), for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
     answer = np.ones(len(x), np.int64)
@@ -466,7 +393,7 @@ def membership(x, H, h, tol):
 # -- cutting one polygon ------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@Kernel
 def _cut(polygon, size, a0, a1, b, slack, touch, part, excess):
     """The part a x <= b + slack of a convex polygon; where that is empty, its corners with a x <= b + touch.
 
@@ -504,7 +431,7 @@ def _cut(polygon, size, a0, a1, b, slack, touch, part, excess):
     return kept
 
 
-@njit(cache=True)
+@Kernel
 def _unit_rows(H, h):
     """The rows H x <= h with normals of length 1; those of zeros stay."""
     H, h = H.copy(), h.copy()
@@ -517,7 +444,7 @@ def _unit_rows(H, h):
     return H, h
 
 
-@njit(cache=True)
+@Kernel
 def _grown(array, needed):
     """The array (n, k), or a longer copy of it that has room for `needed` rows."""
     if needed <= len(array):
@@ -529,14 +456,14 @@ def _grown(array, needed):
     return longer
 
 
-@njit(cache=True)
+@Kernel
 def _copy(source, first, count, target, at):
     """target[at : at + count] = source[first : first + count] for points; numba compiles this faster than slices."""
     for t in range(count):
         target[at + t, 0], target[at + t, 1] = source[first + t, 0], source[first + t, 1]
 
 
-@njit(cache=True)
+@Kernel
 def _most(starts):
     """The largest number of corners of a polygon."""
     most = 0
@@ -548,7 +475,7 @@ def _most(starts):
 # -- cells --------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@Kernel
 def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corner, shaped):
     """The pieces of polygons on which a maxout network is affine, with K, g and an error of each.
 
@@ -712,13 +639,13 @@ def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corn
     return found_points[:last].copy(), found[:count].copy(), found_values[:count].copy()
 
 
-@njit(cache=True)
+@Kernel
 def _at(affine, row, polygon, t):
     """K x + g of a channel at a corner."""
     return affine[row, 0] * polygon[t, 0] + affine[row, 1] * polygon[t, 1] + affine[row, 2]
 
 
-@njit(cache=True)
+@Kernel
 def _won(polygon, size, affine, base, channels, j, active, overlap, part, spare, excess):
     """The part of a polygon on which channel j is not below the other active ones, to `part`: its number of corners.
 
@@ -743,7 +670,7 @@ def _won(polygon, size, affine, base, channels, j, active, overlap, part, spare,
     return size
 
 
-@njit(cache=True)
+@Kernel
 def _contenders(polygon, size, affine, base, channels, touch, part, spare, excess, active):
     """Leave those channels `active` that are somewhere ahead of all others by more than `touch`: their number.
 
@@ -771,7 +698,7 @@ def _contenders(polygon, size, affine, base, channels, touch, part, spare, exces
     return left
 
 
-@njit(cache=True)
+@Kernel
 def _doubt(polygon, size, affine, error, base, channels, j, slits):
     """By how much the largest channel may differ from K x + g of channel j within `slits` of a polygon, at most."""
     most = error[base + j]
@@ -789,7 +716,7 @@ def _doubt(polygon, size, affine, error, base, channels, j, slits):
 # -- asking -------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@Kernel
 def sharp_pairs(H, h, walls_H, walls_h, reach, parallel, sharp):
     """Pairs of half-planes whose strip between them narrows to a sharp tip, unless that is certainly out of reach.
 
@@ -825,7 +752,7 @@ def sharp_pairs(H, h, walls_H, walls_h, reach, parallel, sharp):
     return pairs[:count]
 
 
-@njit(cache=True)
+@Kernel
 def _side(x, y, radius, own, H, h, only, touch):
     """1 if a disc in which mode `own` acts lies within half-planes, rows of length 1, -1 if it misses them, else 0."""
     side = 1
@@ -839,7 +766,7 @@ def _side(x, y, radius, own, H, h, only, touch):
     return side
 
 
-@njit(cache=True)
+@Kernel
 def _clip(polygon, size, x, y, radius, own, H, h, only, slack, touch, part, excess):
     """Cut polygon[:size], which lies in a disc, by half-planes, in its place: the number of corners that are left."""
     for r in range(len(h)):
@@ -851,7 +778,7 @@ def _clip(polygon, size, x, y, radius, own, H, h, only, slack, touch, part, exce
     return size
 
 
-@njit(cache=True)
+@Kernel
 def parts(points, starts, centres, radii, mode, H, h, only, slack, touch):
     """The parts of N convex polygons in {x : H x <= h}.
 
@@ -892,7 +819,7 @@ def parts(points, starts, centres, radii, mode, H, h, only, slack, touch):
     return found[: ends[count]].copy(), ends[: count + 1].copy(), owner[:count].copy()
 
 
-@njit(cache=True)
+@Kernel
 def highest(
     points, starts, centres, radii, mode, H, h, only, slack, touch, M, c, error, spread, heights, tops, V, chosen
 ):
