@@ -13,7 +13,6 @@ from collections.abc import Callable
 from functools import lru_cache, update_wrapper
 from pathlib import Path
 from threading import Lock
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -49,15 +48,15 @@ class Kernel:
     def __init__(self, function: Callable[..., Any]) -> None:
         update_wrapper(self, function)
         self.function = function
-        self._ready: Callable[..., Any] | None = None
+        self._ready: Any = None
         _ALL.append(self)
 
     def __call__(self, *arguments: Any) -> Any:
         if self._ready is None:
             _prepare()
-        return self._ready(*arguments)  # type: ignore[misc]  # _prepare has set it
+        return self._ready(*arguments)
 
-    def prepare(self, numba: ModuleType | None) -> None:
+    def prepare(self, numba: Any) -> None:
         """Compile the function, or take it as it is if `numba` is None."""
         if numba is None:
             self._ready = _silent(self.function)
@@ -75,7 +74,7 @@ def _prepare() -> None:
             kernel.prepare(numba)
 
 
-def _numba() -> ModuleType | None:
+def _numba() -> Any:
     """The module numba, or None where it is missing, does not work, or is told not to compile."""
     try:
         import numba
@@ -87,7 +86,7 @@ def _numba() -> ModuleType | None:
     return None if numba.config.DISABLE_JIT else numba
 
 
-def _kept(function: Callable[..., Any], numba: ModuleType) -> Callable[..., Any] | None:
+def _kept(function: Callable[..., Any], numba: Any) -> Callable[..., Any] | None:
     """The function compiled and kept on disk, or None where no folder can be written.
 
     numba itself raises if it finds no folder that it can write, if the disk is full, or if what it kept cannot be read.
