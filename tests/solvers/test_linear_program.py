@@ -128,14 +128,15 @@ def test_rows_of_the_smallest_numbers_lose_no_point(size):
 SOLVE = """
 import numpy as np
 from mireach.solvers.linear_program import LinearProgram
-lp = LinearProgram()
+rng, lp = np.random.default_rng(0), LinearProgram()
 x = lp.add_columns(np.zeros(20), np.ones(20))
-lp.add_rows(x, np.tile([[1.0, 2.0], [2.0, 1.0]], 10), upper=17.5)
-assert lp.maximize(x, np.ones(20)).value > 0 and lp.bound(x, np.ones(20)) > 0
+lp.add_rows(x, rng.integers(-4, 5, (6, 20)) / 4, upper=rng.uniform(1, 3, 6))
+c = rng.normal(size=20)
+assert lp.maximize(x, c).value > 0 and lp.bound(x, c) > 0
 lp.binaries += x.tolist()
 for presolve in (None, True, False):
-    assert lp.maximize_integer(x, np.ones(20), presolve=presolve).bound > 0
-assert lp.copy().maximize_integer(x, np.ones(20), nodes=3).bound > 0
+    assert lp.maximize_integer(x, c, presolve=presolve).bound > 0
+assert lp.copy().maximize_integer(x, c, nodes=3).bound > 0
 """
 
 

@@ -1,10 +1,20 @@
-"""The inner loops of the plane that are worth compiling (`compilation`)."""
+"""The inner loops of the plane, compiled where numba is installed (`compilation`).
+
+Functions of several arrays that belong together take them as one tuple, which becomes a NamedTuple inside: numba needs
+several times as long to look at the arguments of a call where these are NamedTuples.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..typing import Array
 from .compilation import Kernel
+
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 EMPTY, DOUBTFUL, FAT = 0, 1, 2  # what `polygon` says of a set: see there
 ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
@@ -13,7 +23,7 @@ NEEDLE = 1e-3  # two rows of length about 1 meet well if their determinant is at
 
 
 @Kernel
-def _exponents(H, h, unit):
+def _exponents(H: Array, h: Array, unit: Ints) -> None:
     """Exponents e of units 2^e for the coordinates, to `unit` (2,): medians of where rows cut the axes.
 
     They follow the data: another power of two as the unit of a coordinate, or as the factor of a row, changes e
@@ -43,7 +53,7 @@ def _exponents(H, h, unit):
 
 
 @Kernel
-def _in_units(H, h, unit, row, offset):
+def _in_units(H: Array, h: Array, unit: Ints, row: Array, offset: Array) -> bool:
     """Rows H x <= h for x in units of 2^unit, each scaled by a power of two to entries below 1: row z <= offset.
 
     Returns False if an offset is too large for that. Rounding occurs only far below `LEAST`.
@@ -54,7 +64,8 @@ def _in_units(H, h, unit, row, offset):
             if H[r, j] != 0:
                 most = max(most, math.frexp(H[r, j])[1] + unit[j])
         if most == -10000:
-            row[r, 0], row[r, 1], offset[r] = 0.0, 0.0, np.sign(h[r])
+            row[r, :] = 0.0
+            offset[r] = np.sign(h[r])
             continue
         for j in range(2):
             row[r, j] = np.ldexp(H[r, j], unit[j] - most)
@@ -65,7 +76,9 @@ def _in_units(H, h, unit, row, offset):
 
 
 @Kernel
-def polygon(H, h, parallel, tol):
+def polygon(
+    H: Array, h: Array, parallel: float, tol: float
+) -> tuple[int, Array, Array, Array, Array, Ints]:
     """The vertices of {x : H x <= h} in the plane, if its rows leave no half-plane free and it holds a point.
 
     Parameters
@@ -90,10 +103,13 @@ def polygon(H, h, parallel, tol):
         The corners and the rows for x in units of 2^unit, rows scaled by powers of two.
     """
     none = np.empty((0, 2))
-    unit, row, offset = np.zeros(2, np.int64), np.empty(H.shape), np.empty(len(h))
+    unit = np.zeros(2, np.int64)
+    row = np.empty(H.shape)
+    offset = np.empty(len(h))
     _exponents(H, h, unit)
     local = none
-    far, kind = np.zeros(2), EMPTY
+    far = np.zeros(2)
+    kind = EMPTY
     for attempt in range(3):
         if not _in_units(H, h, unit, row, offset):
             return EMPTY, none, none, row, offset, unit
@@ -116,22 +132,61 @@ def polygon(H, h, parallel, tol):
 
 
 @Kernel
-def _corners(row, offset, parallel, tol):
+def _corners(row: Array, offset: Array, parallel: float, tol: float) -> tuple[int, Array, Array]:
     """The corners of {z : row z <= offset}: kind, corners (v, 2), and the largest coordinates (2,)."""
-    none, rows = np.empty((0, 2)), len(offset)
-    angle, used = np.empty(rows), 0
-    for r in range(rows):
+    none = np.empty((0, 2))
+    if _leaves_a_half_plane(row, offset):
+        return EMPTY, none, np.zeros(2)
+    found, sine = _meetings(row, offset, parallel, tol)
+    if not len(found):
+        return EMPTY, none, np.zeros(2)
+    far = np.zeros(2)
+    least = np.array([np.inf, np.inf])
+    most = -least
+    for k in range(len(found)):
+        for j in range(2):
+            far[j] = max(far[j], abs(found[k, j]))
+            least[j], most[j] = min(least[j], found[k, j]), max(most[j], found[k, j])
+    size = max(far[0], far[1])
+    distinct, apart = _merge(found, sine, tol * size)
+    local = around(found[:distinct])
+    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any() or size > 2.0**64:
+        return DOUBTFUL, local, far
+    if apart > 2.0**-44 * size:
+        return DOUBTFUL, local, far
+    x, y = local[:, 0].mean(), local[:, 1].mean()
+    for r in range(len(offset)):
+        terms = abs(row[r, 0] * x) + abs(row[r, 1] * y) + abs(offset[r])
+        if row[r, 0] * x + row[r, 1] * y - offset[r] > -1e-9 * terms:
+            return DOUBTFUL, local, far
+    return FAT, local, far
+
+
+@Kernel
+def _leaves_a_half_plane(row: Array, offset: Array) -> bool:
+    """Whether the normals of the rows leave a half-plane free, so that the set is unbounded, or 0 <= -1 is a row."""
+    angle, used = np.empty(len(offset)), 0
+    for r in range(len(offset)):
         if row[r, 0] != 0 or row[r, 1] != 0:
             angle[used] = np.arctan2(row[r, 1], row[r, 0])
             used += 1
         elif offset[r] < 0:
-            return EMPTY, none, np.zeros(2)
+            return True
     angle = np.sort(angle[:used])
     for r in range(used):
         following = angle[r + 1] if r + 1 < used else angle[0] + 2 * np.pi
         if following - angle[r] > np.pi - 1e-9:
-            return EMPTY, none, np.zeros(2)
-    found, sine, count, strict = np.empty((max(rows * (rows - 1) // 2, 1), 2)), np.empty(rows * rows + 1), 0, 0
+            return True
+    return False
+
+
+@Kernel
+def _meetings(row: Array, offset: Array, parallel: float, tol: float) -> tuple[Array, Array]:
+    """Points (k, 2) in which two rows meet and which satisfy all rows to within `tol`, and the sines (k,) there."""
+    rows = len(offset)
+    found = np.empty((max(rows * (rows - 1) // 2, 1), 2))
+    sine = np.empty(len(found))
+    count, strict = 0, 0
     for i in range(rows):
         for j in range(i + 1, rows):
             turn = row[i, 0] * row[j, 1] - row[i, 1] * row[j, 0]
@@ -149,44 +204,35 @@ def _corners(row, offset, parallel, tol):
                     inside, strict = False, r
                     break
             if inside:
-                found[count], sine[count] = (x, y), abs(turn)
+                found[count, 0], found[count, 1] = x, y
+                sine[count] = abs(turn)
                 count += 1
-    if not count:
-        return EMPTY, none, np.zeros(2)
-    far, least, distinct = np.zeros(2), np.array([np.inf, np.inf]), 0
-    most = -least
-    for k in range(count):
-        for j in range(2):
-            far[j] = max(far[j], abs(found[k, j]))
-            least[j], most[j] = min(least[j], found[k, j]), max(most[j], found[k, j])
-    size, apart = max(far[0], far[1]), 0.0
-    for k in range(count):
+    return found[:count], sine[:count]
+
+
+@Kernel
+def _merge(found: Array, sine: Array, limit: float) -> tuple[int, float]:
+    """Move the distinct ones of points (k, 2) to the front, each with the largest of its sines (k,).
+
+    Returns how many there are, and how far a point is from the one that stands for it, at most.
+    """
+    distinct, apart = 0, 0.0
+    for k in range(len(found)):
         other = 0
-        while other < distinct and max(abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1])) > (
-            tol * size
-        ):
+        while other < distinct and max(abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1])) > limit:
             other += 1
         if other < distinct:
             sine[other] = max(sine[other], sine[k])
             apart = max(apart, abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1]))
         else:
-            found[distinct], sine[distinct] = found[k], sine[k]
+            found[distinct, 0], found[distinct, 1] = found[k, 0], found[k, 1]
+            sine[distinct] = sine[k]
             distinct += 1
-    local = around(found[:distinct])
-    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any() or size > 2.0**64:
-        return DOUBTFUL, local, far
-    if apart > 2.0**-44 * size:
-        return DOUBTFUL, local, far
-    x, y = local[:, 0].mean(), local[:, 1].mean()
-    for r in range(rows):
-        terms = abs(row[r, 0] * x) + abs(row[r, 1] * y) + abs(offset[r])
-        if row[r, 0] * x + row[r, 1] * y - offset[r] > -1e-9 * terms:
-            return DOUBTFUL, local, far
-    return FAT, local, far
+    return distinct, apart
 
 
 @Kernel
-def _tight_pair(v0, v1, local, row, offset):
+def _tight_pair(v0: float, v1: float, local: Array, row: Array, offset: Array) -> tuple[int, int, int]:
     """A corner that is highest along v, and two rows through it that v lies between, to within rounding: (k, i, j).
 
     i or j is -1 where there is none.
@@ -197,7 +243,8 @@ def _tight_pair(v0, v1, local, row, offset):
         if height > highest:
             best, highest = k, height
     x, y = local[best, 0], local[best, 1]
-    before, after, i, j = -np.inf, np.inf, -1, -1
+    before, after = -np.inf, np.inf
+    i, j = -1, -1
     for r in range(len(offset)):
         if abs(row[r, 0] * x + row[r, 1] * y - offset[r]) > 1e-10 * (1 + abs(x) + abs(y)) or not row[r].any():
             continue
@@ -210,7 +257,7 @@ def _tight_pair(v0, v1, local, row, offset):
 
 
 @Kernel
-def _dual(v0, v1, local, row, offset):
+def _dual(v0: float, v1: float, local: Array, row: Array, offset: Array) -> tuple[float, float, float]:
     """Weak duality, v x = y row x + (v - row'y) x <= y offset + |v - row'y| |x| for the y >= 0 of two rows.
 
     Returns y offset and |v - row'y|, both raised by what rounding may have taken from them.
@@ -222,7 +269,8 @@ def _dual(v0, v1, local, row, offset):
         j = i
     if i < 0:
         return np.inf, np.inf, np.inf
-    a0, a1, b0, b1 = row[i, 0], row[i, 1], row[j, 0], row[j, 1]
+    a0, a1 = row[i, 0], row[i, 1]
+    b0, b1 = row[j, 0], row[j, 1]
     turn = a0 * b1 - a1 * b0
     if i != j and turn != 0:
         p, q = max((v0 * b1 - v1 * b0) / turn, 0.0), max((a0 * v1 - a1 * v0) / turn, 0.0)
@@ -235,7 +283,7 @@ def _dual(v0, v1, local, row, offset):
 
 
 @Kernel
-def _extent(local, row, offset):
+def _extent(local: Array, row: Array, offset: Array) -> float:
     """A number that no coordinate of a FAT set exceeds; inf where that is not proven.
 
     With m the largest coordinate, weak duality along the axes bounds m by y offset + |v - row'y| m.
@@ -248,7 +296,7 @@ def _extent(local, row, offset):
 
 
 @Kernel
-def in_units(v, unit):
+def in_units(v: Array, unit: Ints) -> Array:
     """v (n,) for x in units of 2^unit, scaled by a power of two to entries below 1."""
     most, scaled = -10000, np.zeros(len(v))
     for j in range(len(v)):
@@ -261,7 +309,9 @@ def in_units(v, unit):
 
 
 @Kernel
-def inclusion(V, w, local, row, offset, unit):
+def inclusion(
+    V: Array, w: Array, local: Array, row: Array, offset: Array, unit: Ints
+) -> tuple[int, Ints]:
     """Whether v x <= w holds in a FAT set of the plane, for each row v of V: array (k,) of 1, of -1 if not, 0 in doubt.
 
     1 is proven by weak duality, -1 by a point inside the set that is beyond the row, both with their rounding counted.
@@ -300,7 +350,7 @@ def inclusion(V, w, local, row, offset, unit):
 
 
 @Kernel
-def dual_bounds(V, local, row, offset, unit):
+def dual_bounds(V: Array, local: Array, row: Array, offset: Array, unit: Ints) -> Array:
     """Upper bounds of v x over a FAT set of the plane for each row v of V, by weak duality with its rounding counted.
 
     The arguments are those of `inclusion`; array (k,).
@@ -320,7 +370,7 @@ def dual_bounds(V, local, row, offset, unit):
 
 
 @Kernel
-def around(points):
+def around(points: Array) -> Array:
     """Points (k, 2) on the boundary of a convex set, counter-clockwise, without those between two others."""
     count = len(points)
     if count < 3:
@@ -329,7 +379,8 @@ def around(points):
     points = points[np.argsort(np.arctan2(points[:, 1] - y, points[:, 0] - x))]
     kept = np.empty(count, np.bool_)
     for k in range(count):
-        a, b, c = points[k - 1], points[k], points[(k + 1) % count]
+        a, b = points[k - 1], points[k]
+        c = points[(k + 1) % count]
         turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
         kept[k] = turn > 1e-12 * np.hypot(b[0] - a[0], b[1] - a[1]) * np.hypot(c[0] - b[0], c[1] - b[1])
     if kept.sum() > 2:
@@ -347,7 +398,7 @@ def around(points):
 
 
 @Kernel
-def hull(points, turn):
+def hull(points: Array, turn: float) -> Ints:
     """The corners of the convex hull of points (k, 2), sorted by the first coordinate: array (v,) of int.
 
     Counter-clockwise from the first point, by Andrew's monotone chain. Corners at which the boundary turns by a sine
@@ -359,7 +410,8 @@ def hull(points, turn):
         for step in range(len(points)):
             k = step if half == 0 else len(points) - 1 - step
             while count >= start + 2:
-                a, b, c = points[chain[count - 2]], points[chain[count - 1]], points[k]
+                a, b = points[chain[count - 2]], points[chain[count - 1]]
+                c = points[k]
                 sine = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
                 if sine > turn * np.hypot(b[0] - a[0], b[1] - a[1]) * np.hypot(c[0] - b[0], c[1] - b[1]):
                     break
@@ -371,7 +423,7 @@ def hull(points, turn):
 
 
 @Kernel
-def membership(x, H, h, tol):
+def membership(x: Array, H: Array, h: Array, tol: Array) -> Ints:
     """Whether H x <= h + tol, tol (l,), for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
     answer = np.ones(len(x), np.int64)
     for k in range(len(x)):
