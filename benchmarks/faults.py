@@ -80,14 +80,14 @@ FAULTS = (
         "compiled",
         "sets/kernels.py",
         "_doubt leaves out the slits between pieces",
-        "most = max(most, error[base + c] + ahead + (abs(a0) + abs(a1)) * slits)",
-        "most = max(most, error[base + c] + ahead)",
+        "most = max(most, neuron.error[base + c] + ahead + (abs(a0) + abs(a1)) * slits)",
+        "most = max(most, neuron.error[base + c] + ahead)",
     ),
     Fault(
         "compiled",
         "sets/kernels.py",
         "sets that touch to within rounding do not touch",
-        "            if excess[t] <= touch:",
+        "            if excess[t] <= line.touch:",
         "            if excess[t] <= slack:",
     ),
     Fault(
