@@ -686,7 +686,7 @@ def affine_pieces(
     polygon = np.empty((room, 2))
     pool = max(net.pools)
     scratch = Scratch(np.empty((room, 2)), np.empty((room, 2)), np.empty(room), np.empty(pool, np.bool_))
-    lead = np.empty(pool)
+    z, lead = np.empty((room, pool)), np.empty(pool)
     stack = Stack(np.empty((64, 5), np.int64), np.empty((512, 2)), np.empty((64, 1)))
     found, found_points = np.empty((64, 3), np.int64), np.empty((512, 2))
     found_values = np.empty((64, 4 * net.sizes[-1]))
@@ -715,7 +715,7 @@ def affine_pieces(
             base = layout.row[layer + 1] + (neuron - layout.neuron[layer + 1]) * channels
             own = Neuron(values.affine, values.error, base, channels)
             slits = (cuts + channels) * scale.corner
-            best = _nearest_winner(polygon, size, own, lead)
+            best = _nearest_winner(polygon, size, own, z, lead)
             if lead[best] < -scale.touch:
                 left = _contenders(polygon, size, own, scale.touch, scratch)
                 if left > 1:
@@ -834,16 +834,20 @@ def _enter_layer(net: Layers, layout: Layout, values: Values, layer: int, size: 
 
 
 @Kernel
-def _nearest_winner(polygon: Array, size: int, neuron: Neuron, lead: Array) -> int:
-    """The channel that is behind the largest one by least; by how much each is behind, at most, goes to `lead`."""
+def _nearest_winner(polygon: Array, size: int, neuron: Neuron, z: Array, lead: Array) -> int:
+    """The channel that is behind the largest one by least; by how much each is behind, at most, goes to `lead`.
+
+    The channels at the corners go to `z`.
+    """
     for c in range(neuron.channels):
         lead[c] = np.inf
     for t in range(size):
         highest_here = -np.inf
         for c in range(neuron.channels):
-            highest_here = max(highest_here, _at(neuron.affine, neuron.base + c, polygon, t))
+            z[t, c] = _at(neuron.affine, neuron.base + c, polygon, t)
+            highest_here = max(highest_here, z[t, c])
         for c in range(neuron.channels):
-            lead[c] = min(lead[c], _at(neuron.affine, neuron.base + c, polygon, t) - highest_here)
+            lead[c] = min(lead[c], z[t, c] - highest_here)
     best = 0
     for c in range(1, neuron.channels):
         if lead[c] > lead[best]:
@@ -1028,46 +1032,52 @@ def sharp_pairs(
     return pairs[:count]
 
 
+class Disc(NamedTuple):
+    """A disc that holds a polygon, and the mode of that polygon."""
+
+    x: float
+    y: float
+    radius: float
+    mode: int
+
+
+class Lines(NamedTuple):
+    """The half-planes of a Query, with rows of length 1."""
+
+    H: Array
+    h: Array
+    only: Ints
+    slack: float
+    touch: float
+
+
 @Kernel
-def _side(query: Query, j: int) -> int:
-    """1 if the disc of polygon j lies within the half-planes, rows of length 1, -1 if it misses them, else 0."""
-    x, y = query.centres[j, 0], query.centres[j, 1]
-    radius, own = query.radii[j], query.mode[j]
+def _side(disc: Disc, lines: Lines) -> int:
+    """1 if a disc lies within the half-planes that cut its polygon, -1 if it misses them, else 0."""
     side = 1
-    for r in range(len(query.h)):
-        if query.only[r] < 0 or query.only[r] == own:
-            beyond = query.H[r, 0] * x + query.H[r, 1] * y - query.h[r]
-            if beyond > radius + query.touch:
+    for r in range(len(lines.h)):
+        if lines.only[r] < 0 or lines.only[r] == disc.mode:
+            beyond = lines.H[r, 0] * disc.x + lines.H[r, 1] * disc.y - lines.h[r]
+            if beyond > disc.radius + lines.touch:
                 return -1
-            if beyond > -radius:
+            if beyond > -disc.radius:
                 side = 0
     return side
 
 
 @Kernel
-def _clip(query: Query, j: int, polygon: Array, part: Array, excess: Array) -> int:
-    """Write polygon j, cut by the half-planes that meet its disc, to `polygon`: the number of corners that are left."""
-    x, y = query.centres[j, 0], query.centres[j, 1]
-    radius, own = query.radii[j], query.mode[j]
-    size = query.starts[j + 1] - query.starts[j]
-    _copy(query.points, query.starts[j], size, polygon, 0)
-    for r in range(len(query.h)):
-        a0, a1 = query.H[r, 0], query.H[r, 1]
-        if (query.only[r] < 0 or query.only[r] == own) and a0 * x + a1 * y - query.h[r] > -radius:
-            line = HalfPlane(a0, a1, query.h[r], query.slack, query.touch)
+def _clip(polygon: Array, size: int, disc: Disc, lines: Lines, part: Array, excess: Array) -> int:
+    """Cut polygon[:size], which lies in a disc, by half-planes, in its place: the number of corners that are left."""
+    for r in range(len(lines.h)):
+        a0, a1 = lines.H[r, 0], lines.H[r, 1]
+        applies = lines.only[r] < 0 or lines.only[r] == disc.mode
+        if applies and a0 * disc.x + a1 * disc.y - lines.h[r] > -disc.radius:
+            line = HalfPlane(a0, a1, lines.h[r], lines.slack, lines.touch)
             kept = _cut(polygon, size, line, part, excess)
             if kept >= 0:
                 _copy(part, 0, kept, polygon, 0)
                 size = kept
     return size
-
-
-@Kernel
-def _with_unit_rows(given: tuple[Any, ...]) -> Query:
-    """The Query of its fields, with rows of length 1."""
-    points, starts, centres, radii, mode, H, h, only, slack, touch = given
-    H, h = _unit_rows(H, h)
-    return Query(points, starts, centres, radii, mode, H, h, only, slack, touch)
 
 
 @Kernel
@@ -1085,22 +1095,24 @@ def parts(query: tuple[Any, ...]) -> tuple[Array, Ints, Ints]:
     owner : array (p,) of int
         The polygon that each part comes from.
     """
-    asked = _with_unit_rows(query)
+    asked = Query(*query)
+    H, h = _unit_rows(asked.H, asked.h)
+    lines = Lines(H, h, asked.only, asked.slack, asked.touch)
     polygons = len(asked.mode)
-    room = 2 * (_most(asked.starts) + 2 * len(asked.h)) if polygons else 0
+    room = 2 * (_most(asked.starts) + 2 * len(h)) if polygons else 0
     polygon, spare = np.empty((room, 2)), np.empty((room, 2))
     excess = np.empty(room)
     found, ends = np.empty((len(asked.points), 2)), np.zeros(polygons + 1, np.int64)
     owner, count = np.empty(polygons, np.int64), 0
     for j in range(polygons):
-        side = _side(asked, j)
+        disc = Disc(asked.centres[j, 0], asked.centres[j, 1], asked.radii[j], asked.mode[j])
+        side = _side(disc, lines)
         if side < 0:
             continue
+        size = asked.starts[j + 1] - asked.starts[j]
+        _copy(asked.points, asked.starts[j], size, polygon, 0)
         if side == 0:
-            size = _clip(asked, j, polygon, spare, excess)
-        else:
-            size = asked.starts[j + 1] - asked.starts[j]
-            _copy(asked.points, asked.starts[j], size, polygon, 0)
+            size = _clip(polygon, size, disc, lines, spare, excess)
         if size:
             found = _grown(found, ends[count] + size)
             _copy(polygon, 0, size, found, ends[count])
@@ -1133,13 +1145,15 @@ def highest(query: tuple[Any, ...], maps: tuple[Any, ...], chosen: Ints) -> tupl
     left : array (q,) of int
         The chosen polygons without those that were found to miss the set.
     """
-    asked, on = _with_unit_rows(query), Maps(*maps)
+    asked, on = Query(*query), Maps(*maps)
+    H, h = _unit_rows(asked.H, asked.h)
+    lines = Lines(H, h, asked.only, asked.slack, asked.touch)
     V = on.V
     M, c = on.M, on.c
     directions = len(V)
     top, value = np.full(directions, -np.inf), np.full(directions, -np.inf)
     owner = np.zeros(directions, np.int64)
-    room = 2 * (_most(asked.starts) + 2 * len(asked.h))
+    room = 2 * (_most(asked.starts) + 2 * len(h))
     polygon, part = np.empty((room, 2)), np.empty((room, 2))
     excess = np.empty(room)
     left, count = np.empty(len(chosen), np.int64), 0
@@ -1151,7 +1165,8 @@ def highest(query: tuple[Any, ...], maps: tuple[Any, ...], chosen: Ints) -> tupl
                 break
         else:
             continue
-        side = _side(asked, j)
+        disc = Disc(asked.centres[j, 0], asked.centres[j, 1], asked.radii[j], asked.mode[j])
+        side = _side(disc, lines)
         if side > 0:
             for k in range(directions):
                 if on.tops[j, k] > top[k]:
@@ -1161,7 +1176,10 @@ def highest(query: tuple[Any, ...], maps: tuple[Any, ...], chosen: Ints) -> tupl
             count -= 1
         if side != 0:
             continue
-        for t in range(_clip(asked, j, polygon, part, excess)):
+        size = asked.starts[j + 1] - asked.starts[j]
+        _copy(asked.points, asked.starts[j], size, polygon, 0)
+        size = _clip(polygon, size, disc, lines, part, excess)
+        for t in range(size):
             x = M[j, 0, 0] * polygon[t, 0] + M[j, 0, 1] * polygon[t, 1] + c[j, 0]
             y = M[j, 1, 0] * polygon[t, 0] + M[j, 1, 1] * polygon[t, 1] + c[j, 1]
             for k in range(directions):
