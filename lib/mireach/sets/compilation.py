@@ -83,7 +83,8 @@ def _numba() -> Any:
     except ImportError as error:  # such as a numba that does not know this numpy
         warnings.warn(f"numba cannot be imported, so that sets of the plane are slow: {error}", stacklevel=4)
         return None
-    return None if numba.config.DISABLE_JIT else numba
+    settings: Any = numba.config
+    return None if settings.DISABLE_JIT else numba
 
 
 def _kept(function: Callable[..., Any], numba: Any) -> Callable[..., Any] | None:
