@@ -102,8 +102,8 @@ FAULTS = (
         "sets/kernels.py",
         "dual_bounds does not count its rounding",
         "            value = value + (rest0 + rest1) * extent * (1 + ROUNDING)\n"
-        "            bound[k] = math.ldexp(value + ROUNDING * abs(value) + LEAST, most)",
-        "            bound[k] = math.ldexp(value * (1 - ROUNDING), most)",
+        "            bound[k] = np.ldexp(value + ROUNDING * abs(value) + LEAST, most)",
+        "            bound[k] = np.ldexp(value * (1 - ROUNDING), most)",
     ),
     # -- the plane in rational arithmetic, and single steps
     Fault(

@@ -16,7 +16,9 @@ from .compilation import Kernel
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-EMPTY, DOUBTFUL, FAT = 0, 1, 2  # what `polygon` says of a set: see there
+EMPTY = 0  # what `polygon` says of a set: see there
+DOUBTFUL = 1
+FAT = 2
 ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
 LEAST = 1e-290  # covers what they lose where numbers are too small for a float's full precision
 NEEDLE = 1e-3  # two rows of length about 1 meet well if their determinant is at least this
@@ -676,6 +678,8 @@ def affine_pieces(
     unit, a channel has the error e = |W| (E + (n + 4) 2 u s) + ... A neuron that channel j wins has the error of j, or
     that of another channel c where this one may be ahead: e_c + (z_c - z_j at the corners of the piece, where an affine
     function is largest) + |K_c - K_j| (width of the slits).
+
+    The function is long because it is faster so: a stack and a list of pieces that are passed on cost up to a half more.
     """
     points, starts = polygons
     net, scale = Layers(*network), Lengths(*lengths)
