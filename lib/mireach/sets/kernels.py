@@ -679,7 +679,7 @@ def affine_pieces(
     that of another channel c where this one may be ahead: e_c + (z_c - z_j at the corners of the piece, where an affine
     function is largest) + |K_c - K_j| (width of the slits).
 
-    The function is long because it is faster so: a stack and a list of pieces that are passed on cost up to a half more.
+    The function is long because it is faster so: to pass the stack on as one value cost up to a half more.
     """
     points, starts = polygons
     net, scale = Layers(*network), Lengths(*lengths)
