@@ -12,7 +12,8 @@ from omlt.neuralnet.layer import DenseLayer, InputLayer
 from pyomo.contrib.solver.solvers.highs import Highs
 
 from mireach.engines.milp.formulation import disturbance_box
-from mireach.solvers.linear_program import GAP, MIP_TOLERANCE, TOLERANCE
+from mireach.solvers.branch_and_bound import GAP, MIP_TOLERANCE
+from mireach.solvers.linear_program import TOLERANCE
 
 OPTIONS = {
     "mip_feasibility_tolerance": MIP_TOLERANCE,

@@ -22,7 +22,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 
 import mireach as mr
 from mireach.engines.milp import engine as milp
-from mireach.solvers.linear_program import GAP, MIP_TOLERANCE
+from mireach.solvers.branch_and_bound import GAP, MIP_TOLERANCE
 
 FOLDER = Path(__file__).resolve().parent / ".peers"
 PACKAGES = {

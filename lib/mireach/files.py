@@ -5,6 +5,7 @@ import os
 import tempfile
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from .errors import CorruptFileError
 
@@ -12,7 +13,7 @@ END = "# end: {} rows"  # the last line of a table, by which a truncated one is 
 PART = ".part"  # end of the names of files that are still being written
 
 
-def write_whole(path, content):
+def write_whole(path: str | Path, content: str | bytes) -> None:
     """Write text or bytes so that a reader sees the old file or the new one, never a part.
 
     Parameters
@@ -54,12 +55,12 @@ def write_whole(path, content):
         raise
 
 
-def write_json(path, value, indent=None):
+def write_json(path: str | Path, value: Any, indent: int | None = None) -> None:
     """Write `value` as JSON whose numbers read back to the same floats; NaN and infinity are refused."""
     write_whole(path, json.dumps(value, indent=indent, allow_nan=False) + "\n")
 
 
-def read_json(path, format):
+def read_json(path: str | Path, format: str) -> Any:
     """Read a JSON file of this package.
 
     Parameters

@@ -1,16 +1,20 @@
 """Work in several processes, which end when the process that started them does."""
 
 import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from threading import Thread
 from time import sleep
+from typing import Any
 
 from .errors import MissingExtraError
 
 WATCH = 1.0  # seconds between two looks at whether the parent still runs
 
 
-def in_parallel(function, arguments, jobs, ordered=True):
+def in_parallel(
+    function: Callable[..., Any], arguments: Iterable[Sequence[Any]], jobs: int, ordered: bool = True
+) -> Iterator[Any]:
     """Yield function(*one) for each `one` of `arguments`.
 
     Parameters
@@ -24,12 +28,17 @@ def in_parallel(function, arguments, jobs, ordered=True):
 
     Returns
     -------
-    generator
+    iterator
 
     Raises
     ------
     MissingExtraError
         If joblib is missing; the message says how to install it.
+
+    Examples
+    --------
+    >>> list(in_parallel(pow, [(2, 3), (3, 2)], jobs=1))
+    [8, 9]
 
     Notes
     -----
@@ -47,17 +56,17 @@ def in_parallel(function, arguments, jobs, ordered=True):
     return Parallel(n_jobs=jobs, return_as="generator" if ordered else "generator_unordered")(tasks)
 
 
-def _run(parent, function, arguments):
+def _run(parent: int, function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
     if os.getpid() != parent:
         _watch(parent)
     return function(*arguments)
 
 
 @lru_cache(maxsize=1)
-def _watch(parent):
+def _watch(parent: int) -> None:
     """Start the thread that ends this process once `parent` is no longer its parent."""
 
-    def look():
+    def look() -> None:
         while os.getppid() == parent:
             sleep(WATCH)
         os._exit(1)

@@ -9,7 +9,19 @@ from loops import solve_exactly
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from mireach.sets.kernels import FAT, _cut, _doubt, around, dual_bounds, highest, parts, polygon, sharp_pairs
+from mireach.sets.kernels import (
+    FAT,
+    HalfPlane,
+    Neuron,
+    _cut,
+    _doubt,
+    around,
+    dual_bounds,
+    highest,
+    parts,
+    polygon,
+    sharp_pairs,
+)
 from mireach.sets.polygons import Polygons
 
 PARALLEL, TOL = 1e-12, 1e-11
@@ -102,7 +114,8 @@ def test_highest_point_of_cut_polygons(seed):
     shape = (polygons.points, polygons.starts, *polygons.discs, mode)
     tops = heights + error @ np.abs(V).T
     rows = (readonly(H), readonly(h), np.full(6, -1), 0.0, TOL)
-    value, top, owner, left = highest(*shape, *rows, M, c, error, spread, heights, tops, V, np.arange(count))
+    query, maps = (*shape, *rows), (M, c, error, spread, heights, tops, V)
+    value, top, owner, left = highest(query, maps, np.arange(count))
     wanted = np.full((count, 5), -np.inf)
     for j, hull in enumerate(hulls):
         for k, v in enumerate(V):  # x = hull' w with weights w >= 0 that add up to 1
@@ -117,10 +130,10 @@ def test_highest_point_of_cut_polygons(seed):
         np.testing.assert_allclose(with_error[owner, range(5)], top, atol=1e-8)
         np.testing.assert_allclose(wanted[owner, range(5)], value, atol=1e-8)
     assert set(np.flatnonzero(np.isfinite(wanted).any(axis=1))) <= set(left)
-    again = highest(*shape, *rows, M, c, error, spread, heights, tops, V, left)
+    again = highest(query, maps, left)
     assert all((one == other).all() for one, other in zip(again, (value, top, owner, left)))
     some = np.flatnonzero(rng.random(count) < 0.5)
-    top = highest(*shape, *rows, M, c, error, spread, heights, tops, V, some)[1]
+    top = highest(query, maps, some)[1]
     np.testing.assert_allclose(top, with_error[some].max(axis=0, initial=-np.inf), atol=1e-8)
 
 
@@ -149,10 +162,11 @@ def test_a_tip_that_only_touches_counts():
     shape = (polygons.points, polygons.starts, *polygons.discs, np.zeros(2, int))
     beyond = (readonly([[-1.0, 0]]), readonly([-2.0]), np.array([-1]), 0.0, TOL)  # x1 >= 2
     maps, whole = (np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)), np.zeros((2, 2))), np.full((2, 2), 9.0)
-    value, top, *_ = highest(*shape, *beyond, *maps, np.zeros((1, 2)), whole, whole, np.eye(2), np.arange(2))
+    query = (*shape, *beyond)
+    value, top, *_ = highest(query, (*maps, np.zeros((1, 2)), whole, whole, np.eye(2)), np.arange(2))
     np.testing.assert_allclose(value, [2, 1])
     np.testing.assert_allclose(top, [2, 1])
-    points, starts, owner = parts(*shape, *beyond)
+    points, starts, owner = parts(query)
     assert sorted(map(tuple, points.tolist())) == [(2, 0), (2, 1)]
     assert starts.tolist() == [0, 2] and owner.tolist() == [0]
 
@@ -161,7 +175,7 @@ def test_a_row_of_one_mode_cuts_the_polygons_of_that_mode_only():
     square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     polygons = Polygons.of([square, square])
     shape = (polygons.points, polygons.starts, *polygons.discs, np.array([0, 1]))
-    points, starts, owner = parts(*shape, readonly([[1.0, 0]]), readonly([0.25]), np.array([1]), 0.0, TOL)
+    points, starts, owner = parts((*shape, readonly([[1.0, 0]]), readonly([0.25]), np.array([1]), 0.0, TOL))
     assert owner.tolist() == [0, 1] and starts.tolist() == [0, 4, 8]
     assert points[:4].max() == 1 and points[4:, 0].max() == 0.25
 
@@ -174,7 +188,7 @@ def test_parts_are_those_of_qhull(seed):
     h = H @ rng.normal(size=2) + rng.uniform(0.1, 2, 4) * np.linalg.norm(H, axis=1)
     polygons = Polygons.of(hulls)
     shape = (polygons.points, polygons.starts, *polygons.discs, np.zeros(6, int))
-    points, starts, owner = parts(*shape, readonly(H), readonly(h), np.full(4, -1), 0.0, TOL)
+    points, starts, owner = parts((*shape, readonly(H), readonly(h), np.full(4, -1), 0.0, TOL))
     for j, hull in enumerate(hulls):
         rows = np.vstack([ConvexHull(hull).equations, np.column_stack([H, -h])])
         lengths = np.linalg.norm(rows[:, :2], axis=1)
@@ -212,7 +226,7 @@ def test_the_doubt_of_a_piece_covers_all_states_in_the_slits_around_it(seed):
     rng, slits = np.random.default_rng(seed), 2.0**-4
     polygon, channels = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), rng.integers(-8, 9, (3, 3)) / 4.0
     error = np.array([0.0, 1 / 128, 0])
-    doubt = _doubt(polygon, 4, channels, error, 0, 3, 0, slits)
+    doubt = _doubt(polygon, 4, Neuron(channels, error, 0, 3), 0, slits)
     for corner in polygon:
         for beyond in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
             x = [Fraction(c) + Fraction(slits) * d for c, d in zip(corner.tolist(), beyond)]
@@ -241,7 +255,7 @@ def test_dual_bounds_are_not_below_the_exact_maximum(seed):
 def test_a_polygon_that_a_half_plane_touches_keeps_the_edge(gap, count):
     """The unit square and x1 >= 1 + gap, with touch = 1e-11; at a gap of 0 the part is as wide as the slack."""
     polygon, part = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.zeros((16, 2))
-    kept = _cut(polygon, 4, -1.0, 0.0, -1.0 - gap, 1e-15, 1e-11, part, np.zeros(16))
+    kept = _cut(polygon, 4, HalfPlane(-1.0, 0.0, -1.0 - gap, 1e-15, 1e-11), part, np.zeros(16))
     assert kept == count
     assert part[:kept].tolist() == [] or np.abs(part[:kept, 0].min() - min(1 + gap, 1)) <= 1e-14
     assert sorted(set(part[:kept, 1].tolist())) == ([0, 1] if count else [])

@@ -4,11 +4,15 @@ Second-order forward differentiation in ball arithmetic (Arb, by python-flint): 
 with a radius that covers all rounding, so an upper end is an upper bound.
 """
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from numbers import Integral, Rational, Real
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
+
+Ball: TypeAlias = Any  # an arb of python-flint, which has no types
 
 PRECISION = 128  # bits of the midpoints; rounding is then far below any tolerance in use
 
@@ -18,7 +22,7 @@ ALLOWED = (
 )
 
 
-def flint():
+def flint() -> Any:
     """The module `flint`, imported when it is first needed.
 
     Raises
@@ -34,7 +38,7 @@ def flint():
 
 
 @contextmanager
-def precision(bits=PRECISION):
+def precision(bits: int = PRECISION) -> Iterator[None]:
     """Ball arithmetic with midpoints of `bits` bits, until the block ends."""
     context = flint().ctx
     before = context.prec
@@ -45,7 +49,7 @@ def precision(bits=PRECISION):
         context.prec = before
 
 
-def upper_float(ball):
+def upper_float(ball: Ball) -> float:
     """Smallest float that is certainly not below any point of the ball; inf if the ball is not finite."""
     if not ball.is_finite():
         return np.inf
@@ -54,12 +58,12 @@ def upper_float(ball):
     return nearest if end <= nearest else float(np.nextafter(nearest, np.inf))
 
 
-def lower_float(ball):
+def lower_float(ball: Ball) -> float:
     """Largest float that is certainly not above any point of the ball; -inf if the ball is not finite."""
     return -upper_float(-ball)
 
 
-def ball(number):
+def ball(number: Any) -> Ball:
     """A number as a ball that contains it.
 
     Parameters
@@ -99,13 +103,13 @@ def ball(number):
     )
 
 
-def interval(lower, upper):
+def interval(lower: float, upper: float) -> Ball:
     """A ball that covers the floats lower and upper and all between."""
     return ball(lower).union(ball(upper))
 
 
 @lru_cache(maxsize=64)
-def pairs(size):
+def pairs(size: int) -> tuple[tuple[int, int], ...]:
     """The entries (i, j), i <= j, of a symmetric matrix, in the order of `Jet.hessian`."""
     return tuple((i, j) for i in range(size) for j in range(i, size))
 
@@ -134,15 +138,17 @@ class Jet:
     """
 
     __slots__ = ("gradient", "hessian", "value")
-    __hash__ = None
+    __hash__ = None  # type: ignore[assignment]  # jets cannot be compared, see `_refuse`
 
-    def __init__(self, value, gradient, hessian):
-        self.value, self.gradient, self.hessian = value, gradient, hessian
+    def __init__(self, value: Ball, gradient: list[Ball], hessian: list[Ball]) -> None:
+        self.value = value
+        self.gradient = gradient
+        self.hessian = hessian
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"Jet({self.value}, {len(self.gradient)} variables)"
 
-    def chain(self, value, first, second):
+    def chain(self, value: Ball, first: Ball, second: Ball) -> "Jet":
         """g(self) from g, g' and g'' at self.value."""
         gradient = [first * a for a in self.gradient]
         g = self.gradient
@@ -154,13 +160,13 @@ class Jet:
 
     # -- arithmetic -------------------------------------------------------------------------------
 
-    def __neg__(self):
+    def __neg__(self) -> "Jet":
         return Jet(-self.value, [-a for a in self.gradient], [-h for h in self.hessian])
 
-    def __pos__(self):
+    def __pos__(self) -> "Jet":
         return self
 
-    def __add__(self, other):
+    def __add__(self, other: Any) -> Any:
         if isinstance(other, Jet):
             return Jet(
                 self.value + other.value,
@@ -169,17 +175,18 @@ class Jet:
             )
         return Jet(self.value + ball(other), self.gradient, self.hessian) if _is_number(other) else NotImplemented
 
-    def __sub__(self, other):
+    def __sub__(self, other: Any) -> Any:
         return self + (-other) if _is_operand(other) else NotImplemented
 
-    def __rsub__(self, other):
+    def __rsub__(self, other: Any) -> Any:
         return -self + other if _is_operand(other) else NotImplemented
 
-    def __mul__(self, other):
+    def __mul__(self, other: Any) -> Any:
         if other is self:  # tighter than the product of any two numbers of the ball
             return self.square()
         if isinstance(other, Jet):
-            v, w, g, k = self.value, other.value, self.gradient, other.gradient
+            v, w = self.value, other.value
+            g, k = self.gradient, other.gradient
             hessian = [
                 v * b + w * a + g[i] * k[j] + g[j] * k[i]
                 for (i, j), a, b in zip(pairs(len(g)), self.hessian, other.hessian)
@@ -190,15 +197,15 @@ class Jet:
         factor = ball(other)
         return Jet(factor * self.value, [factor * a for a in self.gradient], [factor * h for h in self.hessian])
 
-    def __truediv__(self, other):
+    def __truediv__(self, other: Any) -> Any:
         if isinstance(other, Jet):
             return self * other.reciprocal()
         return self * (1 / ball(other)) if _is_number(other) else NotImplemented
 
-    def __rtruediv__(self, other):
+    def __rtruediv__(self, other: Any) -> Any:
         return self.reciprocal() * other if _is_number(other) else NotImplemented
 
-    def __pow__(self, exponent):
+    def __pow__(self, exponent: Any) -> Any:
         if isinstance(exponent, Jet):
             return (self.log() * exponent).exp()
         if not _is_number(exponent):
@@ -212,102 +219,102 @@ class Jet:
         powers = [_whole_power(v, max(p - k, 0)) for k in range(3)]
         return self.chain(powers[0], p * powers[1], p * (p - 1) * powers[2])
 
-    def __rpow__(self, base):
+    def __rpow__(self, base: Any) -> Any:
         return (self * ball(base).log()).exp() if _is_number(base) else NotImplemented
 
     __radd__, __rmul__ = __add__, __mul__
 
     # -- functions, under numpy's names ------------------------------------------------------------
 
-    def reciprocal(self):
+    def reciprocal(self) -> "Jet":
         r = 1 / self.value
         return self.chain(r, -(r * r), 2 * r * r * r)
 
-    def square(self):
+    def square(self) -> "Jet":
         return self**2
 
-    def sqrt(self):
+    def sqrt(self) -> "Jet":
         s = self.value.sqrt()
         slope = 1 / (2 * s)
         return self.chain(s, slope, -slope / (2 * self.value))  # no product of wide balls below a fraction
 
-    def exp(self):
+    def exp(self) -> "Jet":
         e = self.value.exp()
         return self.chain(e, e, e)
 
-    def expm1(self):
+    def expm1(self) -> "Jet":
         e = self.value.exp()
         return self.chain(self.value.expm1(), e, e)
 
-    def log(self):
+    def log(self) -> "Jet":
         r = 1 / self.value
         return self.chain(self.value.log(), r, -(r * r))
 
-    def log1p(self):
+    def log1p(self) -> "Jet":
         r = 1 / (1 + self.value)
         return self.chain(self.value.log1p(), r, -(r * r))
 
-    def log2(self):
+    def log2(self) -> "Jet":
         return self.log() / ball(2).log()
 
-    def log10(self):
+    def log10(self) -> "Jet":
         return self.log() / ball(10).log()
 
-    def sin(self):
+    def sin(self) -> "Jet":
         s, c = self.value.sin_cos()
         return self.chain(s, c, -s)
 
-    def cos(self):
+    def cos(self) -> "Jet":
         s, c = self.value.sin_cos()
         return self.chain(c, -s, -c)
 
-    def tan(self):
+    def tan(self) -> "Jet":
         t = self.value.tan()
         slope = 1 + _square(t)
         return self.chain(t, slope, 2 * t * slope)
 
-    def sinh(self):
+    def sinh(self) -> "Jet":
         s, c = self.value.sinh(), self.value.cosh()
         return self.chain(s, c, s)
 
-    def cosh(self):
+    def cosh(self) -> "Jet":
         s, c = self.value.sinh(), self.value.cosh()
         return self.chain(c, s, c)
 
-    def tanh(self):
+    def tanh(self) -> "Jet":
         t = _increasing("tanh", self.value)
         slope = 1 - _square(t)
         return self.chain(t, slope, -2 * t * slope)
 
-    def arctan(self):
+    def arctan(self) -> "Jet":
         v = self.value
         r = 1 / (1 + _square(v))
         return self.chain(v.atan(), r, -2 * v * r * r)
 
-    def arcsin(self):
+    def arcsin(self) -> "Jet":
         v = self.value
         r = 1 / (1 - _square(v)).sqrt()
         return self.chain(v.asin(), r, v * r * r * r)
 
-    def arccos(self):
+    def arccos(self) -> "Jet":
         v = self.value
         r = 1 / (1 - _square(v)).sqrt()
         return self.chain(v.acos(), -r, -v * r * r * r)
 
-    def arcsinh(self):
+    def arcsinh(self) -> "Jet":
         v = self.value
         r = 1 / (1 + _square(v)).sqrt()
         return self.chain(_increasing("asinh", v), r, -v * r * r * r)
 
     # -- what a ball cannot answer -----------------------------------------------------------------
 
-    def _refuse(self, *_):
+    def _refuse(self, *_: object) -> NoReturn:
         raise TypeError("a ball of arguments has no single truth value or float, so f must not branch on x or u")
 
     __bool__ = __float__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = __abs__ = _refuse
 
 
-def variables(balls, order=2):
+def variables(balls: Sequence[Ball], order: int = 2) -> Any:
     """The independent variables as jets.
 
     Parameters
@@ -320,7 +327,8 @@ def variables(balls, order=2):
     -------
     object array (size,) of Jet
     """
-    size, zero, one = len(balls), ball(0), ball(1)
+    size = len(balls)
+    zero, one = ball(0), ball(1)
     entries = len(pairs(size)) if order == 2 else 0
     jets = np.empty(size, dtype=object)
     for i, value in enumerate(balls):
@@ -328,7 +336,7 @@ def variables(balls, order=2):
     return jets
 
 
-def evaluate(f, x, u, order=2):
+def evaluate(f: Callable[[Any, Any], Any], x: Sequence[Ball], u: Sequence[Ball], order: int = 2) -> list[Jet]:
     """f(x, u) with its derivatives with respect to (x, u).
 
     Parameters
@@ -356,12 +364,12 @@ def evaluate(f, x, u, order=2):
         raise TypeError(f"f cannot be evaluated on balls ({error}); it may use {ALLOWED}") from error
 
 
-def _plain(components):
+def _plain(components: list[Any]) -> list[Any]:
     """Components without the arrays of one entry that numpy wraps around objects."""
     return [part.item() if isinstance(part, np.ndarray) and part.size == 1 else part for part in components]
 
 
-def _whole_power(v, exponent):
+def _whole_power(v: Ball, exponent: int) -> Ball:
     """v^exponent for a whole number >= 0 by products: Arb's own power of a ball around 0 is not a number."""
     if exponent < 2:
         return v if exponent else ball(1)
@@ -369,7 +377,7 @@ def _whole_power(v, exponent):
     return half * v if exponent % 2 else half
 
 
-def _square(v):
+def _square(v: Ball) -> Ball:
     """v^2; Arb's own v * v of a wide ball also has the products of two different numbers, some of them negative."""
     if v.is_exact():
         return v * v
@@ -377,16 +385,16 @@ def _square(v):
     return (low * low).union(high * high)
 
 
-def _increasing(name, v):
+def _increasing(name: str, v: Ball) -> Ball:
     """An increasing function of Arb by its values at the ends; Arb's own tanh and asinh of wide balls say little."""
     if v.is_exact():
         return getattr(v, name)()
     return getattr(v.lower(), name)().union(getattr(v.upper(), name)())
 
 
-def _is_number(value):
+def _is_number(value: object) -> bool:
     return isinstance(value, (Real, flint().arb, flint().fmpq, flint().fmpz))
 
 
-def _is_operand(value):
+def _is_operand(value: object) -> bool:
     return isinstance(value, Jet) or _is_number(value)

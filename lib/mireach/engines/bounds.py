@@ -6,7 +6,8 @@ from time import perf_counter
 import numpy as np
 
 from ..errors import SolverError
-from ..solvers.linear_program import ROUNDOFF, LinearProgram
+from ..solvers.linear_program import LinearProgram
+from ..solvers.weak_duality import ROUNDOFF
 
 METHODS = ("interval", "lp", "tight")
 # Added to the bound that an LP proves, relative to 1 + its size. It has to stay far above the tolerance of HiGHS's MILP

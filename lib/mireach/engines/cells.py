@@ -95,7 +95,7 @@ class NetworkCells:
 
         A part is the intersection to within rounding, from outside, wherever F has an edge.
         """
-        points, starts, owner = parts(*self.question(F))
+        points, starts, owner = parts(self.question(F))
         return Polygons(points, starts), owner
 
     def question(self, F):
@@ -312,18 +312,14 @@ def _before_inputs(network, regions, state_set):
     domains, modes, walls = _domains(regions, state_set)
     size = _size(domains.points)
     layers = [(layer.weight, layer.bias, layer.pool) for layer in network.hidden] + [(network.weight, network.bias, 1)]
-    points, shape, values = affine_pieces(
-        domains.points,
-        domains.starts,
+    network_arrays = (
         np.concatenate([weight.ravel() for weight, _, _ in layers]),
         np.concatenate([bias for _, bias, _ in layers]),
         np.array([2] + [len(bias) // pool for _, bias, pool in layers]),
         np.array([pool for _, _, pool in layers]),
-        size,
-        TOUCH * size,
-        CORNER * size,
-        SHAPED,
     )
+    lengths = (size, TOUCH * size, CORNER * size)
+    points, shape, values = affine_pieces((domains.points, domains.starts), network_arrays, lengths, SHAPED)
     sizes, owner, cuts = shape.T
     polygons = Polygons(points, np.concatenate([[0], np.cumsum(sizes)]))
     K, g, error = np.split(values.reshape(len(values), -1, 4), [2, 3], axis=2)
@@ -404,7 +400,7 @@ def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
 def _part(corners, H, h, only, slack, touch):
     """The part of one polygon in half-planes: array (v, 2)."""
     whole = Polygons.of([corners])
-    return parts(whole.points, whole.starts, *whole.discs, np.zeros(1, int), H, h, only, slack, touch)[0]
+    return parts((whole.points, whole.starts, *whole.discs, np.zeros(1, int), H, h, only, slack, touch))[0]
 
 
 def _cut_by_inputs(found, regions):
@@ -483,8 +479,8 @@ def _highest(every, F, rows, chosen):
 
     Arrays (k,) for the rows v of V, and (q,).
     """
-    asked = every.cells.question(F)
-    return highest(*asked, every.M, every.c, every.error, rows.spread, rows.heights, rows.tops, rows.V, chosen)
+    maps = (every.M, every.c, every.error, rows.spread, rows.heights, rows.tops, rows.V)
+    return highest(every.cells.question(F), maps, chosen)
 
 
 def _blunted(F, walls, size):

@@ -1,92 +1,31 @@
-"""The inner loops of the plane that are worth compiling.
+"""The inner loops of the plane, compiled where numba is installed (`compilation`).
 
-numba compiles them when they are first used, which takes some seconds, and keeps the result on disk: in __pycache__
-beside this file or in the user's cache folder, else in the system's temporary folder. Where nothing can be written,
-every process compiles anew.
+Functions of several arrays that belong together take them as one tuple, which becomes a NamedTuple inside: numba needs
+several times as long to look at the arguments of a call where these are NamedTuples.
 """
 
 import math
-import os
-import stat
-import tempfile
-from functools import lru_cache
-from pathlib import Path
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
+from numpy.typing import NDArray
 
+from ..typing import Array
+from .compilation import Kernel
 
-def njit(cache):
-    """The decorator numba.njit for functions that also work without a place for compiled code.
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
-    Parameters
-    ----------
-    cache : bool
-        Keep compiled code on disk if possible. numba itself raises if it finds no folder that it can write, if the disk
-        is full, or if what it kept cannot be read.
-    """
-
-    def compiled(function):
-        found = _kept(function) if cache else None
-        return numba.njit(function) if found is None else found
-
-    return compiled
-
-
-def _kept(function):
-    """The function compiled and kept on disk, or None where no folder can be written."""
-    try:
-        found = numba.njit(cache=True)(function)
-    except (RuntimeError, OSError):  # numba finds no folder
-        usual = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = _private_folder()
-        try:
-            found = numba.njit(cache=True)(function)
-        except (RuntimeError, OSError):
-            return None
-        finally:
-            numba.config.CACHE_DIR = usual
-    code = getattr(found, "_cache", None)  # there is none where compilation is switched off
-    for name in ("load_overload", "save_overload"):
-        if hasattr(code, name):
-            setattr(code, name, _or_none(getattr(code, name)))
-    return found
-
-
-@lru_cache(maxsize=1)
-def _private_folder():
-    """A temporary folder that nobody else can write, since what is kept there will be run; "" if there is none."""
-    user = os.getuid() if hasattr(os, "getuid") else None
-    try:
-        folder = Path(tempfile.gettempdir()) / f"mireach-{user}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
-        return ""
-    own = user is None or (found.st_uid == user and not found.st_mode & 0o077)  # Windows has one such folder per user
-    return str(folder) if own and stat.S_ISDIR(found.st_mode) else ""
-
-
-def _or_none(function):
-    """The same function, with None in place of any error: code that is not kept is compiled anew."""
-
-    def tried(*arguments):
-        try:
-            return function(*arguments)
-        except Exception:
-            return None
-
-    return tried
-
-
-EMPTY, DOUBTFUL, FAT = 0, 1, 2  # what `polygon` says of a set: see there
+EMPTY = 0  # what `polygon` says of a set: see there
+DOUBTFUL = 1
+FAT = 2
 ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
 LEAST = 1e-290  # covers what they lose where numbers are too small for a float's full precision
 NEEDLE = 1e-3  # two rows of length about 1 meet well if their determinant is at least this
 
 
-@njit(cache=True)
-def _exponents(H, h, unit):
+@Kernel
+def _exponents(H: Array, h: Array, unit: Ints) -> None:
     """Exponents e of units 2^e for the coordinates, to `unit` (2,): medians of where rows cut the axes.
 
     They follow the data: another power of two as the unit of a coordinate, or as the factor of a row, changes e
@@ -115,8 +54,8 @@ def _exponents(H, h, unit):
             unit[j] = np.sort(cuts[:count])[count // 2]
 
 
-@njit(cache=True)
-def _in_units(H, h, unit, row, offset):
+@Kernel
+def _in_units(H: Array, h: Array, unit: Ints, row: Array, offset: Array) -> bool:
     """Rows H x <= h for x in units of 2^unit, each scaled by a power of two to entries below 1: row z <= offset.
 
     Returns False if an offset is too large for that. Rounding occurs only far below `LEAST`.
@@ -127,18 +66,19 @@ def _in_units(H, h, unit, row, offset):
             if H[r, j] != 0:
                 most = max(most, math.frexp(H[r, j])[1] + unit[j])
         if most == -10000:
-            row[r, 0], row[r, 1], offset[r] = 0.0, 0.0, np.sign(h[r])
+            row[r, :] = 0.0
+            offset[r] = np.sign(h[r])
             continue
         for j in range(2):
-            row[r, j] = math.ldexp(H[r, j], unit[j] - most)
+            row[r, j] = np.ldexp(H[r, j], unit[j] - most)
         if h[r] != 0 and math.frexp(h[r])[1] - most > 400:
             return False
-        offset[r] = math.ldexp(h[r], -most)
+        offset[r] = np.ldexp(h[r], -most)
     return True
 
 
-@njit(cache=True)
-def polygon(H, h, parallel, tol):
+@Kernel
+def polygon(H: Array, h: Array, parallel: float, tol: float) -> tuple[int, Array, Array, Array, Array, Ints]:
     """The vertices of {x : H x <= h} in the plane, if its rows leave no half-plane free and it holds a point.
 
     Parameters
@@ -163,10 +103,13 @@ def polygon(H, h, parallel, tol):
         The corners and the rows for x in units of 2^unit, rows scaled by powers of two.
     """
     none = np.empty((0, 2))
-    unit, row, offset = np.zeros(2, np.int64), np.empty(H.shape), np.empty(len(h))
+    unit = np.zeros(2, np.int64)
+    row = np.empty(H.shape)
+    offset = np.empty(len(h))
     _exponents(H, h, unit)
     local = none
-    far, kind = np.zeros(2), EMPTY
+    far = np.zeros(2)
+    kind = EMPTY
     for attempt in range(3):
         if not _in_units(H, h, unit, row, offset):
             return EMPTY, none, none, row, offset, unit
@@ -184,27 +127,66 @@ def polygon(H, h, parallel, tol):
     corners = np.empty(local.shape)
     for k in range(len(local)):
         for j in range(2):
-            corners[k, j] = math.ldexp(local[k, j], unit[j])
+            corners[k, j] = np.ldexp(local[k, j], unit[j])
     return kind, corners, local, row, offset, unit
 
 
-@njit(cache=True)
-def _corners(row, offset, parallel, tol):
+@Kernel
+def _corners(row: Array, offset: Array, parallel: float, tol: float) -> tuple[int, Array, Array]:
     """The corners of {z : row z <= offset}: kind, corners (v, 2), and the largest coordinates (2,)."""
-    none, rows = np.empty((0, 2)), len(offset)
-    angle, used = np.empty(rows), 0
-    for r in range(rows):
+    none = np.empty((0, 2))
+    if _leaves_a_half_plane(row, offset):
+        return EMPTY, none, np.zeros(2)
+    found, sine = _meetings(row, offset, parallel, tol)
+    if not len(found):
+        return EMPTY, none, np.zeros(2)
+    far = np.zeros(2)
+    least = np.array([np.inf, np.inf])
+    most = -least
+    for k in range(len(found)):
+        for j in range(2):
+            far[j] = max(far[j], abs(found[k, j]))
+            least[j], most[j] = min(least[j], found[k, j]), max(most[j], found[k, j])
+    size = max(far[0], far[1])
+    distinct, apart = _merge(found, sine, tol * size)
+    local = around(found[:distinct])
+    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any() or size > 2.0**64:
+        return DOUBTFUL, local, far
+    if apart > 2.0**-44 * size:
+        return DOUBTFUL, local, far
+    x, y = local[:, 0].mean(), local[:, 1].mean()
+    for r in range(len(offset)):
+        terms = abs(row[r, 0] * x) + abs(row[r, 1] * y) + abs(offset[r])
+        if row[r, 0] * x + row[r, 1] * y - offset[r] > -1e-9 * terms:
+            return DOUBTFUL, local, far
+    return FAT, local, far
+
+
+@Kernel
+def _leaves_a_half_plane(row: Array, offset: Array) -> bool:
+    """Whether the normals of the rows leave a half-plane free, so that the set is unbounded, or 0 <= -1 is a row."""
+    angle, used = np.empty(len(offset)), 0
+    for r in range(len(offset)):
         if row[r, 0] != 0 or row[r, 1] != 0:
             angle[used] = np.arctan2(row[r, 1], row[r, 0])
             used += 1
         elif offset[r] < 0:
-            return EMPTY, none, np.zeros(2)
+            return True
     angle = np.sort(angle[:used])
     for r in range(used):
         following = angle[r + 1] if r + 1 < used else angle[0] + 2 * np.pi
         if following - angle[r] > np.pi - 1e-9:
-            return EMPTY, none, np.zeros(2)
-    found, sine, count, strict = np.empty((max(rows * (rows - 1) // 2, 1), 2)), np.empty(rows * rows + 1), 0, 0
+            return True
+    return False
+
+
+@Kernel
+def _meetings(row: Array, offset: Array, parallel: float, tol: float) -> tuple[Array, Array]:
+    """Points (k, 2) in which two rows meet and which satisfy all rows to within `tol`, and the sines (k,) there."""
+    rows = len(offset)
+    found = np.empty((max(rows * (rows - 1) // 2, 1), 2))
+    sine = np.empty(len(found))
+    count, strict = 0, 0
     for i in range(rows):
         for j in range(i + 1, rows):
             turn = row[i, 0] * row[j, 1] - row[i, 1] * row[j, 0]
@@ -222,44 +204,35 @@ def _corners(row, offset, parallel, tol):
                     inside, strict = False, r
                     break
             if inside:
-                found[count], sine[count] = (x, y), abs(turn)
+                found[count, 0], found[count, 1] = x, y
+                sine[count] = abs(turn)
                 count += 1
-    if not count:
-        return EMPTY, none, np.zeros(2)
-    far, least, distinct = np.zeros(2), np.array([np.inf, np.inf]), 0
-    most = -least
-    for k in range(count):
-        for j in range(2):
-            far[j] = max(far[j], abs(found[k, j]))
-            least[j], most[j] = min(least[j], found[k, j]), max(most[j], found[k, j])
-    size, apart = max(far[0], far[1]), 0.0
-    for k in range(count):
+    return found[:count], sine[:count]
+
+
+@Kernel
+def _merge(found: Array, sine: Array, limit: float) -> tuple[int, float]:
+    """Move the distinct ones of points (k, 2) to the front, each with the largest of its sines (k,).
+
+    Returns how many there are, and how far a point is from the one that stands for it, at most.
+    """
+    distinct, apart = 0, 0.0
+    for k in range(len(found)):
         other = 0
-        while other < distinct and max(abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1])) > (
-            tol * size
-        ):
+        while other < distinct and max(abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1])) > limit:
             other += 1
         if other < distinct:
             sine[other] = max(sine[other], sine[k])
             apart = max(apart, abs(found[other, 0] - found[k, 0]), abs(found[other, 1] - found[k, 1]))
         else:
-            found[distinct], sine[distinct] = found[k], sine[k]
+            found[distinct, 0], found[distinct, 1] = found[k, 0], found[k, 1]
+            sine[distinct] = sine[k]
             distinct += 1
-    local = around(found[:distinct])
-    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any() or size > 2.0**64:
-        return DOUBTFUL, local, far
-    if apart > 2.0**-44 * size:
-        return DOUBTFUL, local, far
-    x, y = local[:, 0].mean(), local[:, 1].mean()
-    for r in range(rows):
-        terms = abs(row[r, 0] * x) + abs(row[r, 1] * y) + abs(offset[r])
-        if row[r, 0] * x + row[r, 1] * y - offset[r] > -1e-9 * terms:
-            return DOUBTFUL, local, far
-    return FAT, local, far
+    return distinct, apart
 
 
-@njit(cache=True)
-def _tight_pair(v0, v1, local, row, offset):
+@Kernel
+def _tight_pair(v0: float, v1: float, local: Array, row: Array, offset: Array) -> tuple[int, int, int]:
     """A corner that is highest along v, and two rows through it that v lies between, to within rounding: (k, i, j).
 
     i or j is -1 where there is none.
@@ -270,7 +243,8 @@ def _tight_pair(v0, v1, local, row, offset):
         if height > highest:
             best, highest = k, height
     x, y = local[best, 0], local[best, 1]
-    before, after, i, j = -np.inf, np.inf, -1, -1
+    before, after = -np.inf, np.inf
+    i, j = -1, -1
     for r in range(len(offset)):
         if abs(row[r, 0] * x + row[r, 1] * y - offset[r]) > 1e-10 * (1 + abs(x) + abs(y)) or not row[r].any():
             continue
@@ -282,8 +256,8 @@ def _tight_pair(v0, v1, local, row, offset):
     return best, i, j
 
 
-@njit(cache=True)
-def _dual(v0, v1, local, row, offset):
+@Kernel
+def _dual(v0: float, v1: float, local: Array, row: Array, offset: Array) -> tuple[float, float, float]:
     """Weak duality, v x = y row x + (v - row'y) x <= y offset + |v - row'y| |x| for the y >= 0 of two rows.
 
     Returns y offset and |v - row'y|, both raised by what rounding may have taken from them.
@@ -295,7 +269,8 @@ def _dual(v0, v1, local, row, offset):
         j = i
     if i < 0:
         return np.inf, np.inf, np.inf
-    a0, a1, b0, b1 = row[i, 0], row[i, 1], row[j, 0], row[j, 1]
+    a0, a1 = row[i, 0], row[i, 1]
+    b0, b1 = row[j, 0], row[j, 1]
     turn = a0 * b1 - a1 * b0
     if i != j and turn != 0:
         p, q = max((v0 * b1 - v1 * b0) / turn, 0.0), max((a0 * v1 - a1 * v0) / turn, 0.0)
@@ -307,8 +282,8 @@ def _dual(v0, v1, local, row, offset):
     return value, rest0, rest1
 
 
-@njit(cache=True)
-def _extent(local, row, offset):
+@Kernel
+def _extent(local: Array, row: Array, offset: Array) -> float:
     """A number that no coordinate of a FAT set exceeds; inf where that is not proven.
 
     With m the largest coordinate, weak duality along the axes bounds m by y offset + |v - row'y| m.
@@ -320,8 +295,8 @@ def _extent(local, row, offset):
     return most / (1 - left) * (1 + ROUNDING) + LEAST if left < 0.5 else np.inf
 
 
-@njit(cache=True)
-def in_units(v, unit):
+@Kernel
+def in_units(v: Array, unit: Ints) -> Array:
     """v (n,) for x in units of 2^unit, scaled by a power of two to entries below 1."""
     most, scaled = -10000, np.zeros(len(v))
     for j in range(len(v)):
@@ -329,12 +304,12 @@ def in_units(v, unit):
             most = max(most, math.frexp(v[j])[1] + unit[j])
     for j in range(len(v)):
         if v[j] != 0:
-            scaled[j] = math.ldexp(v[j], unit[j] - most)
+            scaled[j] = np.ldexp(v[j], unit[j] - most)
     return scaled
 
 
-@njit(cache=True)
-def inclusion(V, w, local, row, offset, unit):
+@Kernel
+def inclusion(V: Array, w: Array, local: Array, row: Array, offset: Array, unit: Ints) -> tuple[int, Ints]:
     """Whether v x <= w holds in a FAT set of the plane, for each row v of V: array (k,) of 1, of -1 if not, 0 in doubt.
 
     1 is proven by weak duality, -1 by a point inside the set that is beyond the row, both with their rounding counted.
@@ -349,8 +324,8 @@ def inclusion(V, w, local, row, offset, unit):
                 most = max(most, math.frexp(V[k, j])[1] + unit[j])
         if most == -10000 or (w[k] != 0 and math.frexp(w[k])[1] - most > 400):
             continue
-        v0, v1 = math.ldexp(V[k, 0], unit[0] - most), math.ldexp(V[k, 1], unit[1] - most)
-        limit = math.ldexp(w[k], -most)
+        v0, v1 = np.ldexp(V[k, 0], unit[0] - most), np.ldexp(V[k, 1], unit[1] - most)
+        limit = np.ldexp(w[k], -most)
         value, rest0, rest1 = _dual(v0, v1, local, row, offset)
         value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
         if value + ROUNDING * abs(value) + LEAST <= limit:
@@ -372,8 +347,8 @@ def inclusion(V, w, local, row, offset, unit):
     return (answer.min() if len(w) else 1), answer
 
 
-@njit(cache=True)
-def dual_bounds(V, local, row, offset, unit):
+@Kernel
+def dual_bounds(V: Array, local: Array, row: Array, offset: Array, unit: Ints) -> Array:
     """Upper bounds of v x over a FAT set of the plane for each row v of V, by weak duality with its rounding counted.
 
     The arguments are those of `inclusion`; array (k,).
@@ -385,15 +360,15 @@ def dual_bounds(V, local, row, offset, unit):
             if V[k, j] != 0:
                 most = max(most, math.frexp(V[k, j])[1] + unit[j])
         if most > -10000:
-            v0, v1 = math.ldexp(V[k, 0], unit[0] - most), math.ldexp(V[k, 1], unit[1] - most)
+            v0, v1 = np.ldexp(V[k, 0], unit[0] - most), np.ldexp(V[k, 1], unit[1] - most)
             value, rest0, rest1 = _dual(v0, v1, local, row, offset)
             value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
-            bound[k] = math.ldexp(value + ROUNDING * abs(value) + LEAST, most)
+            bound[k] = np.ldexp(value + ROUNDING * abs(value) + LEAST, most)
     return bound
 
 
-@njit(cache=True)
-def around(points):
+@Kernel
+def around(points: Array) -> Array:
     """Points (k, 2) on the boundary of a convex set, counter-clockwise, without those between two others."""
     count = len(points)
     if count < 3:
@@ -402,7 +377,8 @@ def around(points):
     points = points[np.argsort(np.arctan2(points[:, 1] - y, points[:, 0] - x))]
     kept = np.empty(count, np.bool_)
     for k in range(count):
-        a, b, c = points[k - 1], points[k], points[(k + 1) % count]
+        a, b = points[k - 1], points[k]
+        c = points[(k + 1) % count]
         turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
         kept[k] = turn > 1e-12 * np.hypot(b[0] - a[0], b[1] - a[1]) * np.hypot(c[0] - b[0], c[1] - b[1])
     if kept.sum() > 2:
@@ -419,8 +395,8 @@ def around(points):
     return points[np.array([np.argmin(along), np.argmax(along)])]
 
 
-@njit(cache=True)
-def hull(points, turn):
+@Kernel
+def hull(points: Array, turn: float) -> Ints:
     """The corners of the convex hull of points (k, 2), sorted by the first coordinate: array (v,) of int.
 
     Counter-clockwise from the first point, by Andrew's monotone chain. Corners at which the boundary turns by a sine
@@ -432,7 +408,8 @@ def hull(points, turn):
         for step in range(len(points)):
             k = step if half == 0 else len(points) - 1 - step
             while count >= start + 2:
-                a, b, c = points[chain[count - 2]], points[chain[count - 1]], points[k]
+                a, b = points[chain[count - 2]], points[chain[count - 1]]
+                c = points[k]
                 sine = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
                 if sine > turn * np.hypot(b[0] - a[0], b[1] - a[1]) * np.hypot(c[0] - b[0], c[1] - b[1]):
                     break
@@ -443,8 +420,8 @@ def hull(points, turn):
     return chain[: max(count, 1)].copy()
 
 
-@njit(cache=True)
-def membership(x, H, h, tol):
+@Kernel
+def membership(x: Array, H: Array, h: Array, tol: Array) -> Ints:
     """Whether H x <= h + tol, tol (l,), for each row of x (N, n): array (N,) of 1, of -1 if not, 0 in doubt."""
     answer = np.ones(len(x), np.int64)
     for k in range(len(x)):
@@ -466,25 +443,46 @@ def membership(x, H, h, tol):
 # -- cutting one polygon ------------------------------------------------------------------------------
 
 
-@njit(cache=True)
-def _cut(polygon, size, a0, a1, b, slack, touch, part, excess):
+class HalfPlane(NamedTuple):
+    """a x <= b, the tolerances with which a polygon is cut by it.
+
+    Attributes
+    ----------
+    a0, a1, b : float
+        a has length 1, or is 0.
+    slack : float
+        The polygon is cut this far beyond the line (a length).
+    touch : float
+        Where nothing of it is left, corners beyond the line by no more than this stay (a length).
+    """
+
+    a0: float
+    a1: float
+    b: float
+    slack: float
+    touch: float
+
+
+@Kernel
+def _cut(polygon: Array, size: int, line: HalfPlane, part: Array, excess: Array) -> int:
     """The part a x <= b + slack of a convex polygon; where that is empty, its corners with a x <= b + touch.
 
     The corners are polygon[:size]; those of the part are written to `part`, and their number is returned: -1 where
     nothing is cut off and `part` is left alone. A corner that is cut anew lies off its edge by rounding alone.
     """
+    slack = line.slack
     if 2 * size > len(part):
         raise ValueError("a cell has lost its convexity by rounding")
     least, most = np.inf, -np.inf
     for t in range(size):
-        excess[t] = a0 * polygon[t, 0] + a1 * polygon[t, 1] - b
+        excess[t] = line.a0 * polygon[t, 0] + line.a1 * polygon[t, 1] - line.b
         least, most = min(least, excess[t]), max(most, excess[t])
     if most <= slack:
         return -1
     kept = 0
     if least > slack:
         for t in range(size):
-            if excess[t] <= touch:
+            if excess[t] <= line.touch:
                 part[kept, 0], part[kept, 1] = polygon[t, 0], polygon[t, 1]
                 kept += 1
         return kept
@@ -504,8 +502,8 @@ def _cut(polygon, size, a0, a1, b, slack, touch, part, excess):
     return kept
 
 
-@njit(cache=True)
-def _unit_rows(H, h):
+@Kernel
+def _unit_rows(H: Array, h: Array) -> tuple[Array, Array]:
     """The rows H x <= h with normals of length 1; those of zeros stay."""
     H, h = H.copy(), h.copy()
     for r in range(len(h)):
@@ -517,8 +515,8 @@ def _unit_rows(H, h):
     return H, h
 
 
-@njit(cache=True)
-def _grown(array, needed):
+@Kernel
+def _grown(array: Any, needed: int) -> Any:
     """The array (n, k), or a longer copy of it that has room for `needed` rows."""
     if needed <= len(array):
         return array
@@ -529,15 +527,15 @@ def _grown(array, needed):
     return longer
 
 
-@njit(cache=True)
-def _copy(source, first, count, target, at):
+@Kernel
+def _copy(source: Array, first: int, count: int, target: Array, at: int) -> None:
     """target[at : at + count] = source[first : first + count] for points; numba compiles this faster than slices."""
     for t in range(count):
         target[at + t, 0], target[at + t, 1] = source[first + t, 0], source[first + t, 1]
 
 
-@njit(cache=True)
-def _most(starts):
+@Kernel
+def _most(starts: Ints) -> int:
     """The largest number of corners of a polygon."""
     most = 0
     for i in range(len(starts) - 1):
@@ -548,25 +546,115 @@ def _most(starts):
 # -- cells --------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
-def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corner, shaped):
-    """The pieces of polygons on which a maxout network is affine, with K, g and an error of each.
+class Layers(NamedTuple):
+    """A maxout network.
 
-    Parameters
+    Attributes
     ----------
-    points, starts : array (T, 2) and (P + 1,) of int
-        Convex polygons, as in `polygons.Polygons`.
     weight, bias : array, flat
         Of all layers one after the other, the rows of each in turn; the affine output is the last one, of pool 1.
-    sizes, pools : array (l + 2,) and (l + 1,) of int
-        2, the neurons of every layer, and the outputs; the channels of a neuron in every layer.
-    reach : float
+    sizes : array (l + 2,) of int
+        2, the neurons of every layer, and the outputs.
+    pools : array (l + 1,) of int
+        The channels of a neuron in every layer.
+    """
+
+    weight: Array
+    bias: Array
+    sizes: Ints
+    pools: Ints
+
+
+class Lengths(NamedTuple):
+    """Lengths in the plane.
+
+    Attributes
+    ----------
+    size : float
         Largest coordinate.
     touch : float
         A channel that is ahead of all others by no more than this (a length where channels are steeper than 1) does
         not get a piece.
     corner : float
-        How far rounding moves a corner off the edge on which it is made (a length).
+        How far rounding moves a corner off the edge on which it is made.
+    """
+
+    size: float
+    touch: float
+    corner: float
+
+
+class Neuron(NamedTuple):
+    """The channels of one neuron: row base + j of `affine` (K0, K1, g) and of `error` belongs to channel j."""
+
+    affine: Array
+    error: Array
+    base: int
+    channels: int
+
+
+class Scratch(NamedTuple):
+    """Arrays that functions write to: polygons (r, 2), heights of corners (r,), channels (p,) that may win."""
+
+    part: Array
+    spare: Array
+    excess: Array
+    active: Flags
+
+
+class Layout(NamedTuple):
+    """Where the neurons, channels and weights of each layer begin; x itself comes first, as two neurons."""
+
+    neuron: Ints
+    row: Ints
+    weight: Ints
+    layer_of: Ints
+
+
+class Values(NamedTuple):
+    """What is known on the present polygon.
+
+    Attributes
+    ----------
+    affine, error, slope : array (rows, 3), (rows,) and (rows,)
+        K and g of every channel, their error, and |K|.
+    won, unsure : array (neurons,)
+        The channel that each neuron takes, and the error of that.
+    inputs, doubt : array (widest layer, 3) and (widest layer,)
+        K and g of the inputs of the present layer, and their errors.
+    """
+
+    affine: Array
+    error: Array
+    slope: Array
+    won: Ints
+    unsure: Array
+    inputs: Array
+    doubt: Array
+
+
+class Stack(NamedTuple):
+    """Polygons that wait, with the neuron, its channel, the number of cuts, the owner and the size of each."""
+
+    entries: Ints
+    points: Array
+    unsure: Array
+
+
+@Kernel
+def affine_pieces(
+    polygons: tuple[Any, ...], network: tuple[Any, ...], lengths: tuple[Any, ...], shaped: int
+) -> tuple[Array, Ints, Array]:
+    """The pieces of polygons on which a maxout network is affine, with K, g and an error of each.
+
+    Parameters
+    ----------
+    polygons : (points, starts)
+        Convex polygons, as in `polygons.Polygons`: array (T, 2) and (P + 1,) of int.
+    network : tuple
+        The fields of `Layers`.
+    lengths : tuple
+        The fields of `Lengths`.
     shaped : int
         Cuts that the polygons themselves count for.
 
@@ -590,143 +678,203 @@ def affine_pieces(points, starts, weight, bias, sizes, pools, reach, touch, corn
     unit, a channel has the error e = |W| (E + (n + 4) 2 u s) + ... A neuron that channel j wins has the error of j, or
     that of another channel c where this one may be ahead: e_c + (z_c - z_j at the corners of the piece, where an affine
     function is largest) + |K_c - K_j| (width of the slits).
+
+    The function is long because it is faster so: to pass the stack on as one value cost up to a half more.
     """
-    layers = len(pools)
-    first_neuron, first_row = np.zeros(layers + 2, np.int64), np.zeros(layers + 2, np.int64)
-    first_weight = np.zeros(layers + 1, np.int64)
-    first_neuron[1] = first_row[1] = 2  # x itself comes first, as two neurons without a choice
-    for l in range(layers):  # noqa: E741
-        first_neuron[l + 2] = first_neuron[l + 1] + sizes[l + 1]
-        first_row[l + 2] = first_row[l + 1] + sizes[l + 1] * pools[l]
-        first_weight[l + 1] = first_weight[l] + sizes[l] * sizes[l + 1] * pools[l]
-    neurons, rows, widest, pool = first_neuron[layers + 1], first_row[layers + 1], max(sizes), max(pools)
-    layer_of = np.zeros(neurons, np.int64)
-    for l in range(layers):  # noqa: E741
-        layer_of[first_neuron[l + 1] : first_neuron[l + 2]] = l
-    affine, error, slope = np.zeros((rows, 3)), np.zeros(rows), np.zeros(rows)  # K and g of every channel
-    affine[0, 0] = affine[1, 1] = slope[0] = slope[1] = 1.0
-    won, unsure = np.zeros(neurons, np.int64), np.zeros(neurons)  # the winning channel of each neuron, its error
-    inputs, doubt = np.empty((widest, 3)), np.empty(widest)
-    room = 4 * (_most(starts) + rows)
-    polygon, part, spare, excess = np.empty((room, 2)), np.empty((room, 2)), np.empty((room, 2)), np.empty(room)
-    z, lead, active = np.empty((room, pool)), np.empty(pool), np.empty(pool, np.bool_)
-    waiting, waiting_points, waiting_unsure = np.empty((64, 5), np.int64), np.empty((512, 2)), np.empty((64, 1))
-    found, found_points, found_values = np.empty((64, 3), np.int64), np.empty((512, 2)), np.empty((64, 4 * sizes[-1]))
-    depth, top, count, last = 0, 0, 0, 0
+    points, starts = polygons
+    net, scale = Layers(*network), Lengths(*lengths)
+    layers = len(net.pools)
+    layout = _layout(net.sizes, net.pools)
+    values = _values(layout, max(net.sizes))
+    room = 4 * (_most(starts) + len(values.error))
+    polygon = np.empty((room, 2))
+    pool = max(net.pools)
+    scratch = Scratch(np.empty((room, 2)), np.empty((room, 2)), np.empty(room), np.empty(pool, np.bool_))
+    z, lead = np.empty((room, pool)), np.empty(pool)
+    stack = Stack(np.empty((64, 5), np.int64), np.empty((512, 2)), np.empty((64, 1)))
+    found, found_points = np.empty((64, 3), np.int64), np.empty((512, 2))
+    found_values = np.empty((64, 4 * net.sizes[-1]))
+    depth, top = 0, 0  # of the stack: polygons and their corners
+    count, last = 0, 0  # pieces and their corners
     for i in range(len(starts) - 2, -1, -1):
         size = starts[i + 1] - starts[i]
-        waiting, waiting_points = _grown(waiting, depth + 1), _grown(waiting_points, top + size)
-        waiting_unsure = _grown(waiting_unsure, depth + 1)
-        _copy(points, starts[i], size, waiting_points, top)
-        waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = 1, 1, shaped
-        waiting[depth, 3], waiting[depth, 4], waiting_unsure[depth, 0] = i, size, 0.0
+        stack = _pushed(stack, depth, top, points[starts[i] : starts[i + 1]], (1, 1, shaped, i), 0.0)
         depth, top = depth + 1, top + size
     while depth:
         depth -= 1
-        neuron, row, cuts = waiting[depth, 0], waiting[depth, 1], waiting[depth, 2]
-        owner, size = waiting[depth, 3], waiting[depth, 4]
+        neuron, row = stack.entries[depth, 0], stack.entries[depth, 1]
+        cuts, owner = stack.entries[depth, 2], stack.entries[depth, 3]
+        size = stack.entries[depth, 4]
         top -= size
-        _copy(waiting_points, top, size, polygon, 0)
-        won[neuron], unsure[neuron] = row, waiting_unsure[depth, 0]
+        _copy(stack.points, top, size, polygon, 0)
+        values.won[neuron], values.unsure[neuron] = row, stack.unsure[depth, 0]
         while True:
             neuron += 1
-            layer = layer_of[neuron]
-            before, channels = sizes[layer], pools[layer]
-            if neuron == first_neuron[layer + 1]:  # all inputs of this layer are settled
-                start, channels_before = first_neuron[layer], pools[layer - 1] if layer else 1
-                rounding = 2.0**-52 * (before + 4)
-                for i in range(before):
-                    own = won[start + i]
-                    inputs[i, 0], inputs[i, 1], inputs[i, 2] = affine[own, 0], affine[own, 1], affine[own, 2]
-                    own, extent = first_row[layer] + i * channels_before, 0.0
-                    for r in range(own, own + channels_before):
-                        extent = max(extent, slope[r] * reach + abs(affine[r, 2]))
-                    doubt[i] = unsure[start + i] + rounding * extent
-                at = first_weight[layer]
-                for r in range(sizes[layer + 1] * channels):
-                    k0, k1, g, summed = 0.0, 0.0, 0.0, 0.0
-                    for i in range(before):
-                        w = weight[at + i]
-                        k0 += w * inputs[i, 0]
-                        k1 += w * inputs[i, 1]
-                        g += w * inputs[i, 2]
-                        summed += abs(w) * doubt[i]
-                    at += before
-                    to = first_row[layer + 1] + r
-                    offset = bias[to - 2]
-                    affine[to, 0], affine[to, 1], affine[to, 2] = k0, k1, g + offset
-                    error[to], slope[to] = summed * (1 + rounding) + rounding * abs(offset), abs(k0) + abs(k1)
+            layer = layout.layer_of[neuron]
+            channels = net.pools[layer]
+            if neuron == layout.neuron[layer + 1]:  # all inputs of this layer are settled
+                _enter_layer(net, layout, values, layer, scale.size)
                 if layer == layers - 1:
                     break
-            base = first_row[layer + 1] + (neuron - first_neuron[layer + 1]) * channels
-            slits = (cuts + channels) * corner
-            for c in range(channels):
-                lead[c] = np.inf
-            for t in range(size):
-                highest_here = -np.inf
-                for c in range(channels):
-                    z[t, c] = _at(affine, base + c, polygon, t)
-                    highest_here = max(highest_here, z[t, c])
-                for c in range(channels):
-                    lead[c] = min(lead[c], z[t, c] - highest_here)
-            best = 0
-            for c in range(1, channels):
-                if lead[c] > lead[best]:
-                    best = c
-            if lead[best] < -touch:
-                left = _contenders(polygon, size, affine, base, channels, touch, part, spare, excess, active)
+            base = layout.row[layer + 1] + (neuron - layout.neuron[layer + 1]) * channels
+            own = Neuron(values.affine, values.error, base, channels)
+            slits = (cuts + channels) * scale.corner
+            best = _nearest_winner(polygon, size, own, z, lead)
+            if lead[best] < -scale.touch:
+                left = _contenders(polygon, size, own, scale.touch, scratch)
                 if left > 1:
                     # where three channels meet, rounding may part what each of them wins: the parts overlap there
-                    overlap = corner if left > 2 else 0.0
+                    overlap = scale.corner if left > 2 else 0.0
                     for j in range(channels - 1, -1, -1):
-                        if not active[j]:
+                        if not scratch.active[j]:
                             continue
-                        kept = _won(polygon, size, affine, base, channels, j, active, overlap, part, spare, excess)
+                        kept = _won(polygon, size, own, j, overlap, scratch)
                         if not kept:
                             continue
-                        waiting, waiting_points = _grown(waiting, depth + 1), _grown(waiting_points, top + kept)
-                        waiting_unsure = _grown(waiting_unsure, depth + 1)
-                        _copy(part, 0, kept, waiting_points, top)
-                        waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = neuron, base + j, cuts + left - 1
-                        waiting[depth, 3], waiting[depth, 4] = owner, kept
-                        waiting_unsure[depth, 0] = _doubt(part, kept, affine, error, base, channels, j, slits)
+                        doubt = _doubt(scratch.part, kept, own, j, slits)
+                        entry = (neuron, base + j, cuts + left - 1, owner)
+                        stack = _pushed(stack, depth, top, scratch.part[:kept], entry, doubt)
                         depth, top = depth + 1, top + kept
                     break
                 for c in range(channels):
-                    if active[c]:
+                    if scratch.active[c]:
                         best = c
-            won[neuron] = base + best
-            unsure[neuron] = _doubt(polygon, size, affine, error, base, channels, best, slits)
-        if neuron != first_neuron[layers]:
+            values.won[neuron] = base + best
+            values.unsure[neuron] = _doubt(polygon, size, own, best, slits)
+        if neuron != layout.neuron[layers]:
             continue
         found, found_points = _grown(found, count + 1), _grown(found_points, last + size)
         found_values = _grown(found_values, count + 1)
-        found[count, 0], found[count, 1], found[count, 2] = size, owner, cuts
+        found[count, 0], found[count, 1] = size, owner
+        found[count, 2] = cuts
         _copy(polygon, 0, size, found_points, last)
-        for r in range(sizes[-1]):
-            row = first_row[layers] + r
+        for r in range(net.sizes[-1]):
+            row = layout.row[layers] + r
             for i in range(3):
-                found_values[count, 4 * r + i] = affine[row, i]
-            found_values[count, 4 * r + 3] = error[row]
+                found_values[count, 4 * r + i] = values.affine[row, i]
+            found_values[count, 4 * r + 3] = values.error[row]
         count, last = count + 1, last + size
     return found_points[:last].copy(), found[:count].copy(), found_values[:count].copy()
 
 
-@njit(cache=True)
-def _at(affine, row, polygon, t):
+@Kernel
+def _layout(sizes: Ints, pools: Ints) -> Layout:
+    """The Layout of a network."""
+    layers = len(pools)
+    neuron, row = np.zeros(layers + 2, np.int64), np.zeros(layers + 2, np.int64)
+    weight = np.zeros(layers + 1, np.int64)
+    neuron[1] = row[1] = 2
+    for l in range(layers):  # noqa: E741
+        neuron[l + 2] = neuron[l + 1] + sizes[l + 1]
+        row[l + 2] = row[l + 1] + sizes[l + 1] * pools[l]
+        weight[l + 1] = weight[l] + sizes[l] * sizes[l + 1] * pools[l]
+    layer_of = np.zeros(neuron[layers + 1], np.int64)
+    for l in range(layers):  # noqa: E741
+        layer_of[neuron[l + 1] : neuron[l + 2]] = l
+    return Layout(neuron, row, weight, layer_of)
+
+
+@Kernel
+def _values(layout: Layout, widest: int) -> Values:
+    """The Values before the first layer: x itself has K = (1, 0) and (0, 1), without an error."""
+    rows, neurons = layout.row[-1], layout.neuron[-1]
+    affine, slope = np.zeros((rows, 3)), np.zeros(rows)
+    affine[0, 0] = affine[1, 1] = 1.0
+    slope[0] = slope[1] = 1.0
+    won, unsure = np.zeros(neurons, np.int64), np.zeros(neurons)
+    return Values(affine, np.zeros(rows), slope, won, unsure, np.empty((widest, 3)), np.empty(widest))
+
+
+@Kernel
+def _pushed(
+    stack: Stack, depth: int, top: int, corners: Array, entry: tuple[int, int, int, int], unsure: float
+) -> Stack:
+    """The stack with one more polygon, of which (neuron, channel, cuts, owner) are known."""
+    size = len(corners)
+    entries, points = _grown(stack.entries, depth + 1), _grown(stack.points, top + size)
+    errors = _grown(stack.unsure, depth + 1)
+    _copy(corners, 0, size, points, top)
+    for k in range(4):
+        entries[depth, k] = entry[k]
+    entries[depth, 4] = size
+    errors[depth, 0] = unsure
+    return Stack(entries, points, errors)
+
+
+@Kernel
+def _enter_layer(net: Layers, layout: Layout, values: Values, layer: int, size: float) -> None:
+    """Write K, g, error and slope of all channels of a layer, whose inputs are settled; `size` bounds coordinates."""
+    before = net.sizes[layer]
+    channels_before = net.pools[layer - 1] if layer else 1
+    affine, error = values.affine, values.error
+    inputs, doubt = values.inputs, values.doubt
+    start = layout.neuron[layer]
+    rounding = 2.0**-52 * (before + 4)
+    for i in range(before):
+        own = values.won[start + i]
+        inputs[i, 0], inputs[i, 1] = affine[own, 0], affine[own, 1]
+        inputs[i, 2] = affine[own, 2]
+        own, extent = layout.row[layer] + i * channels_before, 0.0
+        for r in range(own, own + channels_before):
+            extent = max(extent, values.slope[r] * size + abs(affine[r, 2]))
+        doubt[i] = values.unsure[start + i] + rounding * extent
+    at = layout.weight[layer]
+    for r in range(net.sizes[layer + 1] * net.pools[layer]):
+        k0, k1 = 0.0, 0.0
+        g, summed = 0.0, 0.0
+        for i in range(before):
+            w = net.weight[at + i]
+            k0 += w * inputs[i, 0]
+            k1 += w * inputs[i, 1]
+            g += w * inputs[i, 2]
+            summed += abs(w) * doubt[i]
+        at += before
+        to = layout.row[layer + 1] + r
+        offset = net.bias[to - 2]
+        affine[to, 0], affine[to, 1] = k0, k1
+        affine[to, 2] = g + offset
+        error[to] = summed * (1 + rounding) + rounding * abs(offset)
+        values.slope[to] = abs(k0) + abs(k1)
+
+
+@Kernel
+def _nearest_winner(polygon: Array, size: int, neuron: Neuron, z: Array, lead: Array) -> int:
+    """The channel that is behind the largest one by least; by how much each is behind, at most, goes to `lead`.
+
+    The channels at the corners go to `z`.
+    """
+    for c in range(neuron.channels):
+        lead[c] = np.inf
+    for t in range(size):
+        highest_here = -np.inf
+        for c in range(neuron.channels):
+            z[t, c] = _at(neuron.affine, neuron.base + c, polygon, t)
+            highest_here = max(highest_here, z[t, c])
+        for c in range(neuron.channels):
+            lead[c] = min(lead[c], z[t, c] - highest_here)
+    best = 0
+    for c in range(1, neuron.channels):
+        if lead[c] > lead[best]:
+            best = c
+    return best
+
+
+@Kernel
+def _at(affine: Array, row: int, polygon: Array, t: int) -> float:
     """K x + g of a channel at a corner."""
     return affine[row, 0] * polygon[t, 0] + affine[row, 1] * polygon[t, 1] + affine[row, 2]
 
 
-@njit(cache=True)
-def _won(polygon, size, affine, base, channels, j, active, overlap, part, spare, excess):
+@Kernel
+def _won(polygon: Array, size: int, neuron: Neuron, j: int, overlap: float, scratch: Scratch) -> int:
     """The part of a polygon on which channel j is not below the other active ones, to `part`: its number of corners.
 
     `overlap` is 0 or the rounding of a corner: the part is then wider by what rounding may do to its edges.
     """
-    _copy(polygon, 0, size, part, 0)
-    for i in range(channels):
-        if i == j or not active[i] or not size:
+    affine, base = neuron.affine, neuron.base
+    _copy(polygon, 0, size, scratch.part, 0)
+    for i in range(neuron.channels):
+        if i == j or not scratch.active[i] or not size:
             continue
         a0, a1 = affine[base + i, 0] - affine[base + j, 0], affine[base + i, 1] - affine[base + j, 1]
         b, steepness = affine[base + j, 2] - affine[base + i, 2], max(np.hypot(a0, a1), 1.0)
@@ -736,61 +884,123 @@ def _won(polygon, size, affine, base, channels, j, active, overlap, part, spare,
             steep += abs(affine[base + j, 1])
             offsets = abs(affine[base + i, 2]) + abs(affine[base + j, 2])
             slack = overlap * (1 + steep / steepness) + 2.0**-50 * offsets / steepness
-        kept = _cut(part, size, a0 / steepness, a1 / steepness, b / steepness, slack, slack, spare, excess)
+        line = HalfPlane(a0 / steepness, a1 / steepness, b / steepness, slack, slack)
+        kept = _cut(scratch.part, size, line, scratch.spare, scratch.excess)
         if kept >= 0:
-            _copy(spare, 0, kept, part, 0)
+            _copy(scratch.spare, 0, kept, scratch.part, 0)
             size = kept
     return size
 
 
-@njit(cache=True)
-def _contenders(polygon, size, affine, base, channels, touch, part, spare, excess, active):
-    """Leave those channels `active` that are somewhere ahead of all others by more than `touch`: their number.
+@Kernel
+def _contenders(polygon: Array, size: int, neuron: Neuron, touch: float, scratch: Scratch) -> int:
+    """Leave those channels active that are somewhere ahead of all others by more than `touch`: their number.
 
     One leaves at a time, the last one first: of equal channels the first stays, and whatever leaves is nowhere ahead
     of those that stay by more than `touch`. At least one stays.
     """
-    left = channels
-    for c in range(channels):
-        active[c] = True
-    for j in range(channels - 1, -1, -1):
+    affine, base = neuron.affine, neuron.base
+    left = neuron.channels
+    for c in range(neuron.channels):
+        scratch.active[c] = True
+    for j in range(neuron.channels - 1, -1, -1):
         if left == 1:
             break
-        kept, ahead = _won(polygon, size, affine, base, channels, j, active, 0.0, part, spare, excess), np.inf
-        for i in range(channels):
-            if i == j or not active[i]:
+        kept, ahead = _won(polygon, size, neuron, j, 0.0, scratch), np.inf
+        for i in range(neuron.channels):
+            if i == j or not scratch.active[i]:
                 continue
             a0, a1 = affine[base + j, 0] - affine[base + i, 0], affine[base + j, 1] - affine[base + i, 1]
             b, most = affine[base + j, 2] - affine[base + i, 2], -np.inf
             for t in range(kept):
-                most = max(most, a0 * part[t, 0] + a1 * part[t, 1] + b)
+                most = max(most, a0 * scratch.part[t, 0] + a1 * scratch.part[t, 1] + b)
             ahead = min(ahead, most / max(np.hypot(a0, a1), 1.0))
         if ahead <= touch:
-            active[j] = False
+            scratch.active[j] = False
             left -= 1
     return left
 
 
-@njit(cache=True)
-def _doubt(polygon, size, affine, error, base, channels, j, slits):
+@Kernel
+def _doubt(polygon: Array, size: int, neuron: Neuron, j: int, slits: float) -> float:
     """By how much the largest channel may differ from K x + g of channel j within `slits` of a polygon, at most."""
-    most = error[base + j]
-    for c in range(channels):
+    affine, base = neuron.affine, neuron.base
+    most = neuron.error[base + j]
+    for c in range(neuron.channels):
         if c == j:
             continue
         a0, a1 = affine[base + c, 0] - affine[base + j, 0], affine[base + c, 1] - affine[base + j, 1]
         b, ahead = affine[base + c, 2] - affine[base + j, 2], -np.inf
         for t in range(size):
             ahead = max(ahead, a0 * polygon[t, 0] + a1 * polygon[t, 1] + b)
-        most = max(most, error[base + c] + ahead + (abs(a0) + abs(a1)) * slits)
+        most = max(most, neuron.error[base + c] + ahead + (abs(a0) + abs(a1)) * slits)
     return most
 
 
-# -- asking -------------------------------------------------------------------------------------------
+# -- queries ------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
-def sharp_pairs(H, h, walls_H, walls_h, reach, parallel, sharp):
+class Query(NamedTuple):
+    """N convex polygons in discs, and half-planes H x <= h that cut them.
+
+    Attributes
+    ----------
+    points, starts : array (T, 2) and (N + 1,) of int
+        The polygons, as in `polygons.Polygons`.
+    centres, radii : array (N, 2) and (N,)
+        Discs around them.
+    mode : array (N,) of int
+    H, h : array (l, 2) and (l,)
+        Rows of any length.
+    only : array (l,) of int
+        The mode whose polygons a row cuts; -1 for all.
+    slack : float
+        Polygons are cut this far beyond each row (a length).
+    touch : float
+        Closed sets that come this close (a length) touch.
+    """
+
+    points: Array
+    starts: Ints
+    centres: Array
+    radii: Array
+    mode: Ints
+    H: Array
+    h: Array
+    only: Ints
+    slack: float
+    touch: float
+
+
+class Maps(NamedTuple):
+    """The map on each of N polygons, and what is known of its maxima along k rows of V.
+
+    Attributes
+    ----------
+    M, c : array (N, 2, 2) and (N, 2)
+        x+ = M x + c.
+    error : array (N, 2)
+        Of the map, by component.
+    spread : array (s, k)
+        h of D^(i) along the rows of V.
+    heights, tops : array (N, k)
+        The maximum over each whole polygon, and with its error.
+    V : array (k, 2)
+    """
+
+    M: Array
+    c: Array
+    error: Array
+    spread: Array
+    heights: Array
+    tops: Array
+    V: Array
+
+
+@Kernel
+def sharp_pairs(
+    H: Array, h: Array, walls_H: Array, walls_h: Array, reach: float, parallel: float, sharp: float
+) -> Ints:
     """Pairs of half-planes whose strip between them narrows to a sharp tip, unless that is certainly out of reach.
 
     Parameters
@@ -812,8 +1022,9 @@ def sharp_pairs(H, h, walls_H, walls_h, reach, parallel, sharp):
     pairs = np.empty((4, 2), np.int64)
     H, h = _unit_rows(np.concatenate((H, walls_H)), np.concatenate((h, walls_h)))
     for r in range(rows):
+        a, b = H[r, 0], H[r, 1]
         for s in range(r + 1, len(h)):
-            a, b, c, d = H[r, 0], H[r, 1], H[s, 0], H[s, 1]
+            c, d = H[s, 0], H[s, 1]
             turn = abs(a * d - b * c)
             if turn > sharp or turn <= parallel or a * c + b * d >= 0:
                 continue
@@ -825,40 +1036,62 @@ def sharp_pairs(H, h, walls_H, walls_h, reach, parallel, sharp):
     return pairs[:count]
 
 
-@njit(cache=True)
-def _side(x, y, radius, own, H, h, only, touch):
-    """1 if a disc in which mode `own` acts lies within half-planes, rows of length 1, -1 if it misses them, else 0."""
+class Disc(NamedTuple):
+    """A disc that holds a polygon, and the mode of that polygon."""
+
+    x: float
+    y: float
+    radius: float
+    mode: int
+
+
+class Lines(NamedTuple):
+    """The half-planes of a Query, with rows of length 1."""
+
+    H: Array
+    h: Array
+    only: Ints
+    slack: float
+    touch: float
+
+
+@Kernel
+def _side(disc: Disc, lines: Lines) -> int:
+    """1 if a disc lies within the half-planes that cut its polygon, -1 if it misses them, else 0."""
     side = 1
-    for r in range(len(h)):
-        if only[r] < 0 or only[r] == own:
-            beyond = H[r, 0] * x + H[r, 1] * y - h[r]
-            if beyond > radius + touch:
+    for r in range(len(lines.h)):
+        if lines.only[r] < 0 or lines.only[r] == disc.mode:
+            beyond = lines.H[r, 0] * disc.x + lines.H[r, 1] * disc.y - lines.h[r]
+            if beyond > disc.radius + lines.touch:
                 return -1
-            if beyond > -radius:
+            if beyond > -disc.radius:
                 side = 0
     return side
 
 
-@njit(cache=True)
-def _clip(polygon, size, x, y, radius, own, H, h, only, slack, touch, part, excess):
+@Kernel
+def _clip(polygon: Array, size: int, disc: Disc, lines: Lines, part: Array, excess: Array) -> int:
     """Cut polygon[:size], which lies in a disc, by half-planes, in its place: the number of corners that are left."""
-    for r in range(len(h)):
-        if (only[r] < 0 or only[r] == own) and H[r, 0] * x + H[r, 1] * y - h[r] > -radius:
-            kept = _cut(polygon, size, H[r, 0], H[r, 1], h[r], slack, touch, part, excess)
+    for r in range(len(lines.h)):
+        a0, a1 = lines.H[r, 0], lines.H[r, 1]
+        applies = lines.only[r] < 0 or lines.only[r] == disc.mode
+        if applies and a0 * disc.x + a1 * disc.y - lines.h[r] > -disc.radius:
+            line = HalfPlane(a0, a1, lines.h[r], lines.slack, lines.touch)
+            kept = _cut(polygon, size, line, part, excess)
             if kept >= 0:
                 _copy(part, 0, kept, polygon, 0)
                 size = kept
     return size
 
 
-@njit(cache=True)
-def parts(points, starts, centres, radii, mode, H, h, only, slack, touch):
+@Kernel
+def parts(query: tuple[Any, ...]) -> tuple[Array, Ints, Ints]:
     """The parts of N convex polygons in {x : H x <= h}.
 
     Parameters
     ----------
-    points, starts, centres, radii, mode, H, h, only, slack, touch
-        As in `highest`.
+    query : tuple
+        The fields of `Query`.
 
     Returns
     -------
@@ -866,24 +1099,24 @@ def parts(points, starts, centres, radii, mode, H, h, only, slack, touch):
     owner : array (p,) of int
         The polygon that each part comes from.
     """
-    H, h = _unit_rows(H, h)
-    room = 2 * (_most(starts) + 2 * len(h)) if len(mode) else 0
-    polygon, spare, excess = np.empty((room, 2)), np.empty((room, 2)), np.empty(room)
-    found, ends, owner, count = (
-        np.empty((len(points), 2)),
-        np.zeros(len(mode) + 1, np.int64),
-        np.empty(len(mode), np.int64),
-        0,
-    )
-    for j in range(len(mode)):
-        x, y, radius = centres[j, 0], centres[j, 1], radii[j]
-        side = _side(x, y, radius, mode[j], H, h, only, touch)
+    asked = Query(*query)
+    H, h = _unit_rows(asked.H, asked.h)
+    lines = Lines(H, h, asked.only, asked.slack, asked.touch)
+    polygons = len(asked.mode)
+    room = 2 * (_most(asked.starts) + 2 * len(h)) if polygons else 0
+    polygon, spare = np.empty((room, 2)), np.empty((room, 2))
+    excess = np.empty(room)
+    found, ends = np.empty((len(asked.points), 2)), np.zeros(polygons + 1, np.int64)
+    owner, count = np.empty(polygons, np.int64), 0
+    for j in range(polygons):
+        disc = Disc(asked.centres[j, 0], asked.centres[j, 1], asked.radii[j], asked.mode[j])
+        side = _side(disc, lines)
         if side < 0:
             continue
-        size = starts[j + 1] - starts[j]
-        _copy(points, starts[j], size, polygon, 0)
+        size = asked.starts[j + 1] - asked.starts[j]
+        _copy(asked.points, asked.starts[j], size, polygon, 0)
         if side == 0:
-            size = _clip(polygon, size, x, y, radius, mode[j], H, h, only, slack, touch, spare, excess)
+            size = _clip(polygon, size, disc, lines, spare, excess)
         if size:
             found = _grown(found, ends[count] + size)
             _copy(polygon, 0, size, found, ends[count])
@@ -892,36 +1125,16 @@ def parts(points, starts, centres, radii, mode, H, h, only, slack, touch):
     return found[: ends[count]].copy(), ends[: count + 1].copy(), owner[:count].copy()
 
 
-@njit(cache=True)
-def highest(
-    points, starts, centres, radii, mode, H, h, only, slack, touch, M, c, error, spread, heights, tops, V, chosen
-):
+@Kernel
+def highest(query: tuple[Any, ...], maps: tuple[Any, ...], chosen: Ints) -> tuple[Array, Array, Ints, Ints]:
     """max v (M_j x + c_j) + h of D over the parts of N convex polygons in {x : H x <= h}.
 
     Parameters
     ----------
-    points, starts : array (T, 2) and (N + 1,) of int
-        The polygons, as in `polygons.Polygons`.
-    centres, radii : array (N, 2) and (N,)
-        Discs around them.
-    mode : array (N,) of int
-    H, h : array (l, 2) and (l,)
-        Rows of any length.
-    only : array (l,) of int
-        The mode whose polygons a row cuts; -1 for all.
-    slack : float
-        Polygons are cut this far beyond each row (a length).
-    touch : float
-        Closed sets that come this close (a length) touch.
-    M, c : array (N, 2, 2) and (N, 2)
-        The map on each polygon.
-    error : array (N, 2)
-        Of the map, by component.
-    spread : array (s, k)
-        h of D^(i) along the rows of V.
-    heights, tops : array (N, k)
-        The maximum over each whole polygon, and with its error.
-    V : array (k, 2)
+    query : tuple
+        The fields of `Query`.
+    maps : tuple
+        The fields of `Maps`.
     chosen : array (p,) of int
         The polygons to look at.
 
@@ -936,39 +1149,47 @@ def highest(
     left : array (q,) of int
         The chosen polygons without those that were found to miss the set.
     """
+    asked, on = Query(*query), Maps(*maps)
+    H, h = _unit_rows(asked.H, asked.h)
+    lines = Lines(H, h, asked.only, asked.slack, asked.touch)
+    V = on.V
+    M, c = on.M, on.c
     directions = len(V)
-    top, value, owner = np.full(directions, -np.inf), np.full(directions, -np.inf), np.zeros(directions, np.int64)
-    H, h = _unit_rows(H, h)
-    room = 2 * (_most(starts) + 2 * len(h))
-    polygon, part, excess = np.empty((room, 2)), np.empty((room, 2)), np.empty(room)
+    top, value = np.full(directions, -np.inf), np.full(directions, -np.inf)
+    owner = np.zeros(directions, np.int64)
+    room = 2 * (_most(asked.starts) + 2 * len(h))
+    polygon, part = np.empty((room, 2)), np.empty((room, 2))
+    excess = np.empty(room)
     left, count = np.empty(len(chosen), np.int64), 0
     for i in range(len(chosen)):
         j = left[count] = chosen[i]
         count += 1
         for k in range(directions):
-            if tops[j, k] > top[k]:
+            if on.tops[j, k] > top[k]:
                 break
         else:
             continue
-        x, y, radius = centres[j, 0], centres[j, 1], radii[j]
-        side = _side(x, y, radius, mode[j], H, h, only, touch)
+        disc = Disc(asked.centres[j, 0], asked.centres[j, 1], asked.radii[j], asked.mode[j])
+        side = _side(disc, lines)
         if side > 0:
             for k in range(directions):
-                if tops[j, k] > top[k]:
-                    top[k], value[k], owner[k] = tops[j, k], heights[j, k], j
+                if on.tops[j, k] > top[k]:
+                    top[k], value[k] = on.tops[j, k], on.heights[j, k]
+                    owner[k] = j
         elif side < 0:
             count -= 1
         if side != 0:
             continue
-        size = starts[j + 1] - starts[j]
-        _copy(points, starts[j], size, polygon, 0)
-        size = _clip(polygon, size, x, y, radius, mode[j], H, h, only, slack, touch, part, excess)
+        size = asked.starts[j + 1] - asked.starts[j]
+        _copy(asked.points, asked.starts[j], size, polygon, 0)
+        size = _clip(polygon, size, disc, lines, part, excess)
         for t in range(size):
             x = M[j, 0, 0] * polygon[t, 0] + M[j, 0, 1] * polygon[t, 1] + c[j, 0]
             y = M[j, 1, 0] * polygon[t, 0] + M[j, 1, 1] * polygon[t, 1] + c[j, 1]
             for k in range(directions):
-                reached = V[k, 0] * x + V[k, 1] * y + spread[mode[j], k]
-                above = reached + abs(V[k, 0]) * error[j, 0] + abs(V[k, 1]) * error[j, 1]
+                reached = V[k, 0] * x + V[k, 1] * y + on.spread[asked.mode[j], k]
+                above = reached + abs(V[k, 0]) * on.error[j, 0] + abs(V[k, 1]) * on.error[j, 1]
                 if above > top[k]:
-                    top[k], value[k], owner[k] = above, reached, j
+                    top[k], value[k] = above, reached
+                    owner[k] = j
     return value, top, owner, left[:count].copy()

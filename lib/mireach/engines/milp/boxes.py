@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solvers.linear_program import ROUNDOFF
+from ...solvers.weak_duality import ROUNDOFF
 from ..bounds import proven_box
 
 ON_BOUNDARY = 1e-8  # a mode whose rows are violated by less than this and rounding counts as met (units of h)

@@ -24,7 +24,7 @@ import numpy as np
 
 from ...checks import positive_number, real_array, whole_number
 from ...errors import SolverError, SolverStopped
-from ...solvers.linear_program import BRANCHED, GAP, MIP_TOLERANCE
+from ...solvers.branch_and_bound import BRANCHED, GAP, MIP_TOLERANCE
 from ..attained import attained
 from ..base import COUNTED, SOLVER, Engine, Support, checked_query, empty_support, replay
 from ..bounds import METHODS, SAFETY, far_points, proven_support

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solvers.linear_program import ROUNDOFF, LinearProgram
+from ...solvers.linear_program import LinearProgram
+from ...solvers.weak_duality import ROUNDOFF
 from ..bounds import METHODS, SAFETY, lower_bound, proven_box, upper_bound
 from .boxes import Boxes, bound_loop
 
