@@ -11,7 +11,8 @@ from .analysis.invariance import (
 )
 from .analysis.planar import attractor, exact_reach, largest_disturbance, maximal_safe_set, prove_rpi
 from .analysis.reach import outer_reach, outer_step, support
-from .approximation.fit import fit_pwa, prove_error
+from .approximation.error_bound import ErrorProof, prove_error
+from .approximation.fit import PWAFit, fit_pwa
 from .errors import CorruptFileError, MireachError, MissingExtraError, SolverError, SolverStopped
 from .sets.polytope import Polytope, box_directions, directions
 from .sets.region import Region
@@ -19,17 +20,20 @@ from .studies import case_studies
 from .studies.case_studies import case_study
 from .systems.loop import ClosedLoop
 from .systems.network import Layer, MaxoutNetwork
-from .systems.pwa import Mode, NonlinearSystem, PWASystem
+from .systems.nonlinear import NonlinearSystem
+from .systems.pwa import Mode, PWASystem
 
 __all__ = [
     "ClosedLoop",
     "CorruptFileError",
+    "ErrorProof",
     "Layer",
     "MaxoutNetwork",
     "MireachError",
     "MissingExtraError",
     "Mode",
     "NonlinearSystem",
+    "PWAFit",
     "PWASystem",
     "Polytope",
     "Region",

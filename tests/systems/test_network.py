@@ -258,10 +258,10 @@ def test_importing_leaves_the_module_and_the_random_numbers_alone():
 
 @pytest.mark.parametrize("controller", [lambda x: -x, np.eye(2), "network.json", None])
 def test_what_is_no_module_is_refused_with_what_to_give(controller):
-    with pytest.raises(ValueError, match=r"(?s)a MaxoutNetwork or a torch module; got .* MaxoutNetwork\(\[Layer"):
+    with pytest.raises(TypeError, match=r"(?s)a MaxoutNetwork or a torch module; got .* MaxoutNetwork\(\[Layer"):
         MaxoutNetwork.from_torch(controller)
     case = case_study("pwa")
-    with pytest.raises(ValueError, match="a MaxoutNetwork or a torch module"):
+    with pytest.raises(TypeError, match="a MaxoutNetwork or a torch module"):
         ClosedLoop(case.system, controller)
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..approximation.fit import prove_error
+from ..approximation.error_bound import prove_error
 from ..arithmetic.rational import above, below, binary, dot, fractions, nearest, rational, strict_point
 from ..arithmetic.scaling import normal_rows
 from ..checks import positive_number, real_array, require_kind, whole_number
@@ -17,7 +17,7 @@ from ..engines.steps import Escape, attained, farthest_step
 from ..engines.units import own_units
 from ..sets.polytope import ROUNDING, Polytope, box_directions, directions
 from ..systems.loop import ClosedLoop
-from ..systems.pwa import NonlinearSystem
+from ..systems.nonlinear import NonlinearSystem
 from .reach import default_engine, support
 from .settle import CLEAR, EXACT, compare, standing, tolerance, weaker
 

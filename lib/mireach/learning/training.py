@@ -15,30 +15,11 @@ try:
 except ImportError as missing:
     raise MissingExtraError("training", "torch", "train") from missing
 
+from ..systems.torch_import import Maxout
+
 LEAK = 0.01  # slope of the loss's clipping outside U: keeps a gradient where the output is cut off
 BETAS = (0.9, 0.99)  # Adam's; a shorter memory of squares than its default fits these small networks better
 LOSS_EVERY = 100  # steps between two entries of the history
-
-
-class Maxout(torch.nn.Module):
-    """The largest of each group of `pool` consecutive values (eq. maxout); follows a Linear.
-
-    Parameters
-    ----------
-    pool : int
-        Values a group, the paper's p_i.
-    """
-
-    def __init__(self, pool):
-        super().__init__()
-        self.pool = pool
-
-    def forward(self, z):
-        """(..., w pool) -> (..., w)."""
-        return z.unflatten(-1, (-1, self.pool)).amax(dim=-1)
-
-    def extra_repr(self):
-        return f"pool={self.pool}"
 
 
 def maxout_module(inputs, outputs, layers, width, pool, generator=None):

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from ..sets.polytope import Polytope
-from .pwa import Mode, NonlinearSystem, PWASystem
+from .nonlinear import NonlinearSystem
+from .pwa import Mode, PWASystem
 
 # Case 1: the four modes; the matrix A of each, with the signs s of its region {x : s_i x_i >= 0}.
 PWA_MODES = (
