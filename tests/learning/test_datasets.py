@@ -79,9 +79,9 @@ def test_sizes_must_match():
 
 def test_making_is_reproducible_and_independent_of_jobs():
     pytest.importorskip("joblib")
-    first = make_pwa_data(seed=3, count=12, progress=False)
-    assert same(first, make_pwa_data(seed=3, count=12, progress=False, jobs=2))
-    assert not np.array_equal(first.states[:5], make_pwa_data(seed=4, count=12, progress=False).states[:5])
+    first = make_pwa_data(rng=3, count=12, progress=False)
+    assert same(first, make_pwa_data(rng=3, count=12, progress=False, jobs=2))
+    assert not np.array_equal(first.states[:5], make_pwa_data(rng=4, count=12, progress=False).states[:5])
 
 
 def test_small_grid():

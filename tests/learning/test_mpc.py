@@ -168,8 +168,8 @@ def test_miqp_refuses_what_it_cannot_solve(plant):
         solve_miqp(plant, [1, 1], R=[[0.0]])
     with pytest.raises(ValueError, match="x0"):
         solve_miqp(plant, [1, 1, 1])
-    with pytest.raises(SolverStopped, match="most_nodes"):
-        solve_miqp(plant, [1, 1], most_nodes=3)
+    with pytest.raises(SolverStopped, match="max_nodes"):
+        solve_miqp(plant, [1, 1], max_nodes=3)
 
 
 # -- case 2 ---------------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ def test_maxout_by_hand():
 
 @pytest.mark.parametrize(("layers", "width", "pool"), [(3, 3, 3), (5, 5, 5), (1, 4, 2), (0, 1, 1)])
 def test_module_equals_imported_network(layers, width, pool):
-    module = maxout_module(2, 3, layers, width, pool, generator=torch.Generator().manual_seed(3))
+    module = maxout_module(2, 3, layers=layers, width=width, pool=pool, rng=3)
     x = np.random.default_rng(4).uniform(-10, 10, (500, 2))
     with torch.no_grad():
         expected = module(torch.tensor(x)).numpy()
@@ -47,7 +47,7 @@ def test_module_equals_imported_network(layers, width, pool):
 
 
 def test_seed_decides_the_network(data):
-    first, second, other = fit(data, seed=5), fit(data, seed=5), fit(data, seed=6)
+    first, second, other = fit(data, rng=5), fit(data, rng=5), fit(data, rng=6)
     assert first.network.to_dict() == second.network.to_dict() and first.loss == second.loss
     assert first.network.to_dict() != other.network.to_dict()
 

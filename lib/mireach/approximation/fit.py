@@ -290,7 +290,7 @@ def _mode(fit: Callable[[Array, Array], Array], points: Array, values: Array, re
 
 def _least_squares(regressors: Array, values: Array) -> Array:
     """theta (n+m+1, n) with the smallest sum of squares; of smallest size where points leave it open."""
-    return np.linalg.lstsq(regressors, values, rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(regressors, values, rcond=None)[0], float)
 
 
 def _minimax(regressors: Array, values: Array) -> Array:

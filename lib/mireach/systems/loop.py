@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..checks import real_array, require_columns, require_kind, whole_number
 from ..sets.polytope import Polytope
@@ -230,11 +231,12 @@ class ClosedLoop:
         """Largest |x| over X, by component: (n,)."""
         return np.abs(self.system.state_set.bounding_box()).max(axis=0)
 
-    def _outside(self, x: Array) -> Array:
+    def _outside(self, x: Array) -> NDArray[np.bool_]:
         """Whether states (N, n) lie outside of X, or are not finite: (N,) of bool."""
         X = self.system.state_set
         limit = X.h + OUTSIDE * (np.abs(X.H) @ self._size)
-        return ~(np.isfinite(x) & (np.nan_to_num(x) @ X.H.T <= limit).all(axis=-1, keepdims=True)).all(axis=-1)
+        inside = np.all(np.nan_to_num(x) @ X.H.T <= limit, axis=-1)
+        return ~(np.all(np.isfinite(x), axis=-1) & inside)
 
     def _advance(self, x: Array) -> tuple[Array, IntArray]:
         """Nominal successors of states (N, n), and the mode of each: the first whose region contains (x, Phi(x)).
