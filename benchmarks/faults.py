@@ -31,7 +31,7 @@ TESTS = {  # the pytest arguments that must catch the faults of a room
     "settle": "tests/analysis/test_settle.py",
     "invariance": "tests/analysis/test_invariance.py",
     "units": "tests/engines/test_units.py -k 'not safe_sets'",
-    "system": "tests/systems/test_pwa.py",
+    "system": "tests/systems/test_partition.py",
     "rational": "tests/arithmetic/test_rational.py",
     "polytope": "tests/sets/test_polytope.py",
     "lp": "tests/solvers/test_linear_program.py",

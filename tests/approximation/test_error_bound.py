@@ -171,6 +171,13 @@ def test_a_derivative_that_is_infinite_leaves_no_proof():
         fit_pwa(lambda x, u: [np.sqrt(x[0])], [X.product(U)], X, U, max_boxes=30)
 
 
+def test_wrong_arguments_are_named():
+    with pytest.raises(TypeError, match="mode 1 must be of the kind Mode"):
+        prove_error(DI, NINE[:1])
+    with pytest.raises(ValueError, match="max_boxes must be a whole number of at least 1"):
+        prove_error(DI, fit_pwa(DI, NINE[:1]).modes, max_boxes=0)
+
+
 def test_directions_of_the_wrong_size_are_refused():
     modes = fit_pwa(DI, NINE[:1]).modes
     with pytest.raises(ValueError, match="directions has shape"):

@@ -78,6 +78,16 @@ def test_error_sets_as_box_ball_and_polytope():
     assert isinstance(system, mr.PWASystem) and len(system.modes) == 9
 
 
+def test_a_fit_is_shown_in_one_line_and_its_system_reads_back():
+    fit = fit_pwa(DI, NINE)
+    assert str(fit) == (
+        "PWAFit(9 modes, least_squares on 10 points per axis, largest error 0.118519 at them, 0.118519 proven)"
+    )
+    assert str(fit.proof).startswith("ErrorProof(9 modes, 8 directions, largest bound 0.237037, largest gap ")
+    system = fit.system()
+    assert mr.PWASystem.from_dict(system.to_dict()).to_dict() == system.to_dict()
+
+
 def test_each_mode_may_have_its_own_error():
     def f(x, u):
         return [np.exp(x[0]) + u[0]]
@@ -203,5 +213,7 @@ def test_a_function_that_balls_do_not_have_is_refused():
         fit_pwa(lambda x, u: [abs(x[0]), x[1]], NINE, X6, U2)
     with pytest.raises(TypeError, match="NonlinearSystem"):
         fit_pwa("f", NINE, X6, U2)
+    with pytest.raises(TypeError, match="region 2 must be of the kind Polytope"):
+        fit_pwa(double_integrator, [NINE[0], None], X6, U2)
     with pytest.raises(ValueError, match="needs state_set"):
         fit_pwa(double_integrator, NINE)

@@ -87,6 +87,33 @@ def test_gradient_survives_where_the_output_is_cut_off():
     assert fit((states, inputs), lower=-1, upper=-0.999, steps=300).loss < 0.1 * start.loss
 
 
+def test_a_generator_decides_the_network_too(data):
+    first, second = (fit(data, rng=np.random.default_rng(5), steps=5) for _ in range(2))
+    assert first.network.to_dict() == second.network.to_dict()
+    rng = np.random.default_rng(5)
+    assert fit(data, rng=rng, steps=5).network.to_dict() != fit(data, rng=rng, steps=5).network.to_dict()
+
+
+def test_a_result_is_shown_in_one_line(data):
+    result = fit(data, steps=1)
+    assert str(result) == f"TrainingResult({result.network}, loss {result.loss:.6g})"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"width": 0}, "width must be a whole number of at least 1; got 0"),
+        ({"layers": 1.5}, "layers must be a whole number"),
+        ({"steps": -1}, "steps must be a whole number of at least 0"),
+        ({"learning_rate": 0.0}, "learning_rate must be positive"),
+        ({"lower": np.nan}, "lower must be finite"),
+    ],
+)
+def test_wrong_numbers_are_named(data, options, message):
+    with pytest.raises(ValueError, match=message):
+        fit(data, **options)
+
+
 def test_wrong_sizes(data):
     with pytest.raises(ValueError, match="200 rows and inputs has 199"):
         train(data[0], data[1][:-1], layers=1, width=1, pool=1, lower=-1, upper=1)
