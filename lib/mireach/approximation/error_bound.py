@@ -319,6 +319,7 @@ class _Box:
     axis: int | None = None
 
     def halves(self) -> "Iterator[_Box]":
+        """The two halves along `axis`, with the bounds of the whole."""
         middle = (self.lower[self.axis] + self.upper[self.axis]) / 2
         for name in ("upper", "lower"):
             half = _Box(self.lower.copy(), self.upper.copy(), self.bound.copy())
@@ -379,7 +380,7 @@ def _undecided(bound: Array, attained: Array, tol: float) -> NDArray[np.bool_]:
 def _tighten(box: _Box, residual: Residual, rows: _Rows, undecided: NDArray[np.bool_], attained: Array) -> bool:
     """Improve box.bound in the undecided directions and choose box.axis; False if the box holds no point of P.
 
-    `attained` is raised, in place, to the values at the points that come up.
+    `attained` is raised, in place, to the values at the points that are evaluated.
     """
     centre = (box.lower + box.upper) / 2
     r = [

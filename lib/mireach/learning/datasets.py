@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -22,8 +22,17 @@ from ..typing import Array, ArrayLike
 from ..workers import in_parallel
 from .mpc import MIQPSolution, NonlinearMPC, NonlinearSolution, solve_miqp
 
-THREE_TANKS_HORIZON, THREE_TANKS_Q, THREE_TANKS_R = 8, (0.1, 0.1, 1.0), 10.0
-FOUR_TANKS_HORIZON, FOUR_TANKS_Q, FOUR_TANKS_R = 20, (1.0, 1.0, 0.1, 0.1), 5.0
+
+class Regulation(NamedTuple):
+    """An optimal control problem with Q = diag(q), R = r I, and as P the cost to go of the unconstrained regulator."""
+
+    horizon: int
+    q: tuple[float, ...]
+    r: float
+
+
+THREE_TANKS = Regulation(horizon=8, q=(0.1, 0.1, 1.0), r=10.0)
+FOUR_TANKS = Regulation(horizon=20, q=(1.0, 1.0, 0.1, 0.1), r=5.0)
 CHUNKS = 40  # of states, each one task of a process
 
 Solutions: TypeAlias = Sequence[MIQPSolution | NonlinearSolution]
@@ -235,33 +244,32 @@ MAKERS: dict[str, Callable[..., DataSet]] = {
 
 
 def _solve_pwa(states: Array, show: Show) -> Solutions:
+    """Solutions of case study 1."""
     system = pwa_plant()
     return [solve_miqp(system, x) for x in show(states)]
 
 
 def _solve_nonlinear(states: Array, show: Show) -> Solutions:
+    """Solutions of case study 2."""
     mpc = NonlinearMPC(double_integrator_plant())
     return [mpc.solve(x) for x in show(states)]
 
 
 def _solve_three_tanks(states: Array, show: Show) -> Solutions:
-    weights = np.diag(THREE_TANKS_Q), THREE_TANKS_R
-    return _solve_regulation(three_tanks_plant(), THREE_TANKS_HORIZON, weights, show(states))
+    """Solutions of the three tanks."""
+    return _solve_regulation(three_tanks_plant(), THREE_TANKS, show(states))
 
 
 def _solve_four_tanks(states: Array, show: Show) -> Solutions:
-    weights = np.diag(FOUR_TANKS_Q), FOUR_TANKS_R
-    return _solve_regulation(four_tanks_plant(), FOUR_TANKS_HORIZON, weights, show(states))
+    """Solutions of the four tanks."""
+    return _solve_regulation(four_tanks_plant(), FOUR_TANKS, show(states))
 
 
-def _solve_regulation(
-    system: PWASystem, horizon: int, weights: tuple[Array, float], states: Iterable[Array]
-) -> Solutions:
-    """Solutions with weights Q and r: R = r I, and as P the cost to go of the first mode without constraints."""
-    Q, r = weights
-    first, R = system.modes[0], r * np.eye(system.input_size)
-    P = solve_discrete_are(first.A, first.B, Q, R)
-    return [solve_miqp(system, x, horizon, Q, R, P) for x in states]
+def _solve_regulation(system: PWASystem, problem: Regulation, states: Iterable[Array]) -> Solutions:
+    """Solutions of a regulation problem; P is that of the first mode."""
+    Q, R = np.diag(problem.q), problem.r * np.eye(system.input_size)
+    P = solve_discrete_are(system.modes[0].A, system.modes[0].B, Q, R)
+    return [solve_miqp(system, x, problem.horizon, Q, R, P) for x in states]
 
 
 def _uniform(box: Polytope, rng: np.random.Generator | int, count: int) -> Array:

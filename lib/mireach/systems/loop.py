@@ -211,7 +211,7 @@ class ClosedLoop:
         )
 
     def _newton(self, x: Array) -> Iterator[Array]:
-        """States of Newton's method from x, while they lie in X and on pieces that have not come up before."""
+        """Iterates of Newton's method from x, until one lies outside of X or on a piece for the second time."""
         pieces = set()
         while not self._outside(x[None])[0]:
             yield x

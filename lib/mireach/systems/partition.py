@@ -74,7 +74,7 @@ class _Cell:
     limits : dict
         Direction, scaled to a first entry of 1 or -1, to (offset, whether it is closed).
     point : tuple of fmpq or None
-        A point of all of them, where one is at hand.
+        A point of the cell, where one has been computed.
     """
 
     def __init__(self, limits: dict[Point, tuple[Any, bool]] | None = None, point: Point | None = None) -> None:

@@ -65,7 +65,8 @@ class Mode:
     def __init__(
         self, A: ArrayLike, B: ArrayLike, p: ArrayLike, region: Polytope, disturbance: Polytope | None = None
     ) -> None:
-        A, B, p = real_array(A, "A", 2), real_array(B, "B", 2), real_array(p, "p", 1)
+        A, B = real_array(A, "A", 2), real_array(B, "B", 2)
+        p = real_array(p, "p", 1)
         n = len(A)
         require_columns(A, n, "A", "for A is square")
         require_columns(p, n, "p", "the rows of A")

@@ -156,7 +156,8 @@ class NonlinearMPC:
             raise MissingExtraError("nonlinear MPC", "casadi", "data") from error
         system, N = self.system, self.horizon
         n, m = system.state_set.dimension, system.input_set.dimension
-        x0, inputs, states = casadi.SX.sym("x0", n), casadi.SX.sym("u", m, N), casadi.SX.sym("x", n, N)
+        x0 = casadi.SX.sym("x0", n)
+        inputs, states = casadi.SX.sym("u", m, N), casadi.SX.sym("x", n, N)
         cost, x = 0, x0
         defects: list[Any] = []
         limits: list[Any] = []
