@@ -31,12 +31,12 @@ TESTS = {  # the pytest arguments that must catch the faults of a room
     "comparison": "tests/analysis/test_comparison.py",
     "invariance": "tests/analysis/test_invariance.py",
     "units": "tests/engines/test_units.py -k 'not safe_sets'",
-    "system": "tests/systems/test_pwa.py",
+    "system": "tests/systems/test_partition.py",
     "rational": "tests/arithmetic/test_rational.py",
     "polytope": "tests/sets/test_polytope.py",
     "lp": "tests/solvers",
     "milp": "tests/engines/test_milp.py tests/engines/test_bounds.py -k 'boxes or cutoff'",
-    "approximation": "tests/approximation/test_fit.py",
+    "approximation": "tests/approximation/test_error_bound.py",
     "checker": "tests/certificate/test_checker.py -k 'brute_force or theorem_1 or error'",
     "planar": "tests/analysis/test_planar.py -k 'slack or hair'",
 }
@@ -274,7 +274,7 @@ FAULTS = (
     # -- systems and sets
     Fault(
         "system",
-        "systems/pwa.py",
+        "systems/partition.py",
         "beyond a row means on it as well",
         "-b, strict=True)",
         "-b, strict=False)",
@@ -283,8 +283,8 @@ FAULTS = (
         "system",
         "systems/pwa.py",
         "a gap is looked for along x alone",
-        "gap = _Rows().cut(domain, scaled)",
-        "gap = _Rows().cut(domain, [Polytope(P.H * (np.arange(P.dimension) < n), P.h) for P in scaled])",
+        "gap = uncovered_point(domain, scaled)",
+        "gap = uncovered_point(domain, [Polytope(P.H * (np.arange(P.dimension) < n), P.h) for P in scaled])",
     ),
     Fault("rational", "arithmetic/rational.py", "below rounds up", "return -above(-value)", "return above(value)"),
     Fault(
@@ -354,7 +354,7 @@ FAULTS = (
     # -- the plant, the checker, sets in the plane
     Fault(
         "approximation",
-        "approximation/fit.py",
+        "approximation/error_bound.py",
         "_shift rounds to the nearest float",
         "upper_float(ball(offset) - sum(ball(c) * s for c, s in zip(v, step)))",
         "float(offset - sum(float(c) * (b - a) for c, a, b in zip(v, before, after)))",

@@ -148,7 +148,7 @@ print("x2 = -6: u* at x1 = -4.6, -4.4:", optimal[-6][[44, 46]].round(2))
 
 # %%
 trained = train(
-    data.states, data.inputs, layers=3, width=3, pool=3, lower=-1, upper=1, seed=0, steps=6000, progress=False
+    data.states, data.inputs, layers=3, width=3, pool=3, lower=-1, upper=1, rng=0, steps=6000, progress=False
 )
 live = trained.network
 print(live)
@@ -313,8 +313,8 @@ plt.show()
 options = {"layers": 3, "width": 3, "pool": 3, "steps": 3000, "progress": False}
 print("seed   leaky clipped   plain, saturated afterwards")
 for seed in (0, 2):
-    leaky = train(data.states, data.inputs, lower=-1, upper=1, seed=seed, **options).loss
-    plain = train(data.states, data.inputs, lower=-1000, upper=1000, seed=seed, **options).network
+    leaky = train(data.states, data.inputs, lower=-1, upper=1, rng=seed, **options).loss
+    plain = train(data.states, data.inputs, lower=-1000, upper=1000, rng=seed, **options).network
     saturated = plain.saturate(-1, 1)
     print(f"{seed:4d} {leaky:15.4f} {((saturated(data.states) - data.inputs) ** 2).mean():29.4f}")
 

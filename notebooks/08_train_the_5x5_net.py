@@ -176,7 +176,7 @@ plt.show()
 
 # %%
 shape = {"layers": 5, "width": 5, "pool": 5, "lower": -2, "upper": 2, "steps": 3000, "progress": False}
-results = [train(data.states, data.inputs, seed=seed, **shape) for seed in (0, 1)]
+results = [train(data.states, data.inputs, rng=seed, **shape) for seed in (0, 1)]
 first, second, shipped = results[0].network, results[1].network, case.network
 
 fig, ax = plt.subplots(figsize=(6.4, 3), layout="constrained")

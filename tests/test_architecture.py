@@ -22,7 +22,6 @@ FLOORS = (  # from the ground up; docs/architecture.md explains them
     ("__main__",),
 )
 LATE = {  # imports that go up: at a call or for types alone
-    ("systems.network", "learning.training"): "from_torch knows Maxout, a module of torch",
     ("errors", "engines.base"): "a type alone",
 }
 

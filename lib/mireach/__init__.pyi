@@ -9,7 +9,8 @@ from .analysis.reach import outer_reach, outer_step, support
 from .analysis.rpi import RPICheck, check_rpi
 from .analysis.safe_set import SafeSet, safe_set
 from .analysis.terminal_set import TerminalSet, terminal_set
-from .approximation.fit import fit_pwa, prove_error
+from .approximation.error_bound import ErrorProof, prove_error
+from .approximation.fit import PWAFit, fit_pwa
 from .engines.base import Engine, Escape, Support, Witness
 from .engines.cells import Cells
 from .engines.cvxpy_model import Cvxpy
@@ -23,7 +24,8 @@ from .studies import case_studies
 from .studies.case_studies import case_study
 from .systems.loop import ClosedLoop
 from .systems.network import Layer, MaxoutNetwork
-from .systems.pwa import Mode, NonlinearSystem, PWASystem
+from .systems.nonlinear import NonlinearSystem
+from .systems.pwa import Mode, PWASystem
 
 __all__ = [
     "Cells",
@@ -31,6 +33,7 @@ __all__ = [
     "CorruptFileError",
     "Cvxpy",
     "Engine",
+    "ErrorProof",
     "Escape",
     "Exact",
     "Layer",
@@ -41,6 +44,7 @@ __all__ = [
     "MissingExtraError",
     "Mode",
     "NonlinearSystem",
+    "PWAFit",
     "PWASystem",
     "Polytope",
     "RPICheck",

@@ -72,6 +72,22 @@ def test_damage_is_named(tmp_path, old, new, message):
         DataSet.load(path)
 
 
+def test_a_data_set_is_shown_by_its_sizes(sample):
+    assert str(sample) == "DataSet(7 states with inputs, 3 infeasible)" and len(sample) == 7
+
+
+@pytest.mark.parametrize("make", [make_pwa_data, make_three_tanks_data, make_four_tanks_data])
+def test_a_seed_and_its_generator_give_the_same_data(make):
+    assert same(make(rng=5, count=3), make(rng=np.random.default_rng(5), count=3))
+
+
+def test_numbers_of_states_must_be_whole():
+    with pytest.raises(ValueError, match="count must be a whole number of at least 1; got 0"):
+        make_pwa_data(count=0)
+    with pytest.raises(ValueError, match="grid must be a whole number of at least 2"):
+        make_double_integrator_data(grid=2.5)
+
+
 def test_sizes_must_match():
     with pytest.raises(ValueError, match="costs has 2 rows but states has 1"):
         DataSet([[0.5, 2.0]], [[3.0]], [4.0, 5.0], [[8.0, 0.25]])
@@ -79,9 +95,9 @@ def test_sizes_must_match():
 
 def test_making_is_reproducible_and_independent_of_jobs():
     pytest.importorskip("joblib")
-    first = make_pwa_data(seed=3, count=12, progress=False)
-    assert same(first, make_pwa_data(seed=3, count=12, progress=False, jobs=2))
-    assert not np.array_equal(first.states[:5], make_pwa_data(seed=4, count=12, progress=False).states[:5])
+    first = make_pwa_data(rng=3, count=12, progress=False)
+    assert same(first, make_pwa_data(rng=3, count=12, progress=False, jobs=2))
+    assert not np.array_equal(first.states[:5], make_pwa_data(rng=4, count=12, progress=False).states[:5])
 
 
 def test_small_grid():

@@ -168,8 +168,15 @@ def test_miqp_refuses_what_it_cannot_solve(plant):
         solve_miqp(plant, [1, 1], R=[[0.0]])
     with pytest.raises(ValueError, match="x0"):
         solve_miqp(plant, [1, 1, 1])
-    with pytest.raises(SolverStopped, match="most_nodes"):
-        solve_miqp(plant, [1, 1], most_nodes=3)
+    with pytest.raises(SolverStopped, match="max_nodes"):
+        solve_miqp(plant, [1, 1], max_nodes=3)
+    with pytest.raises(TypeError, match="system must be of the kind PWASystem"):
+        solve_miqp(double_integrator_plant(), [1, 1])
+
+
+def test_miqp_solution_is_shown_in_one_line(plant):
+    solution = solve_miqp(plant, [1, 1], horizon=2)
+    assert str(solution) == f"MIQPSolution(cost {solution.cost:.6g}, gap {solution.gap:.2g}, {solution.nodes} nodes)"
 
 
 # -- case 2 ---------------------------------------------------------------------------------------
@@ -233,6 +240,21 @@ def test_nonlinear_at_rest_and_out_of_reach(mpc):
     assert not mpc.solve([6.5, 0.0]).feasible
 
 
+def test_nonlinear_random_starts_do_not_change_what_other_starts_solve(mpc):
+    first, second = mpc.solve([1.0, -2.0], rng=1), mpc.solve([1.0, -2.0], rng=np.random.default_rng(2))
+    np.testing.assert_array_equal(first.inputs, second.inputs)
+    assert str(first) == f"NonlinearSolution(cost {first.cost:.6g}, {first.solved} starts solved)"
+    assert str(mpc) == "NonlinearMPC(horizon 10, 2 states, 1 inputs)"
+
+
+def test_nonlinear_refuses_what_it_cannot_solve(plant):
+    pytest.importorskip("casadi")
+    with pytest.raises(TypeError, match="system must be of the kind NonlinearSystem"):
+        NonlinearMPC(plant)
+    with pytest.raises(ValueError, match="horizon must be a whole number of at least 1"):
+        NonlinearMPC(double_integrator_plant(), horizon=0)
+
+
 def test_nonlinear_on_a_linear_system_is_the_miqp():
     from mireach import NonlinearSystem
 
@@ -247,3 +269,6 @@ def test_nonlinear_on_a_linear_system_is_the_miqp():
         assert found.cost == pytest.approx(exact.cost, rel=1e-6)
         assert mirrored.cost == pytest.approx(found.cost, rel=1e-6)  # the linear problem is symmetric
         np.testing.assert_allclose(found.inputs, exact.inputs, atol=1e-3)
+    weights = {"Q": np.diag([2.0, 1.0]), "R": [[0.3]], "P": np.diag([5.0, 4.0])}
+    exact = solve_miqp(system, [2.0, 1.0], horizon=4, **weights)
+    assert NonlinearMPC(linear, horizon=4, **weights).solve([2.0, 1.0]).cost == pytest.approx(exact.cost, rel=1e-6)

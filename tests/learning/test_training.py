@@ -37,7 +37,7 @@ def test_maxout_by_hand():
 
 @pytest.mark.parametrize(("layers", "width", "pool"), [(3, 3, 3), (5, 5, 5), (1, 4, 2), (0, 1, 1)])
 def test_module_equals_imported_network(layers, width, pool):
-    module = maxout_module(2, 3, layers, width, pool, generator=torch.Generator().manual_seed(3))
+    module = maxout_module(2, 3, layers=layers, width=width, pool=pool, rng=3)
     x = np.random.default_rng(4).uniform(-10, 10, (500, 2))
     with torch.no_grad():
         expected = module(torch.tensor(x)).numpy()
@@ -47,7 +47,7 @@ def test_module_equals_imported_network(layers, width, pool):
 
 
 def test_seed_decides_the_network(data):
-    first, second, other = fit(data, seed=5), fit(data, seed=5), fit(data, seed=6)
+    first, second, other = fit(data, rng=5), fit(data, rng=5), fit(data, rng=6)
     assert first.network.to_dict() == second.network.to_dict() and first.loss == second.loss
     assert first.network.to_dict() != other.network.to_dict()
 
@@ -85,6 +85,33 @@ def test_gradient_survives_where_the_output_is_cut_off():
     inputs = np.full((50, 1), -1.0)
     start = fit((states, inputs), lower=-1, upper=-0.999, steps=0)
     assert fit((states, inputs), lower=-1, upper=-0.999, steps=300).loss < 0.1 * start.loss
+
+
+def test_a_generator_decides_the_network_too(data):
+    first, second = (fit(data, rng=np.random.default_rng(5), steps=5) for _ in range(2))
+    assert first.network.to_dict() == second.network.to_dict()
+    rng = np.random.default_rng(5)
+    assert fit(data, rng=rng, steps=5).network.to_dict() != fit(data, rng=rng, steps=5).network.to_dict()
+
+
+def test_a_result_is_shown_in_one_line(data):
+    result = fit(data, steps=1)
+    assert str(result) == f"TrainingResult({result.network}, loss {result.loss:.6g})"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"width": 0}, "width must be a whole number of at least 1; got 0"),
+        ({"layers": 1.5}, "layers must be a whole number"),
+        ({"steps": -1}, "steps must be a whole number of at least 0"),
+        ({"learning_rate": 0.0}, "learning_rate must be positive"),
+        ({"lower": np.nan}, "lower must be finite"),
+    ],
+)
+def test_wrong_numbers_are_named(data, options, message):
+    with pytest.raises(ValueError, match=message):
+        fit(data, **options)
 
 
 def test_wrong_sizes(data):

@@ -89,6 +89,12 @@ def test_equilibrium_stays_where_it_is_if_one_is_found(seed):
         assert min(np.abs(image - x).max() for image in step_by_hand(loop, x)) < 1e-9
 
 
+@pytest.mark.parametrize("rng", [0, 7, np.random.default_rng(3)])
+def test_equilibrium_that_repels_does_not_depend_on_the_random_starts(rng):
+    loop = affine_loop(1.5 * np.eye(2), p=[0.1, 0.05])
+    np.testing.assert_allclose(loop.equilibrium(rng), [-0.2, -0.1], atol=1e-9)
+
+
 def test_torch_module_becomes_a_network():
     torch = pytest.importorskip("torch")
     loop = affine_loop(np.eye(2))
@@ -98,6 +104,12 @@ def test_torch_module_becomes_a_network():
     module = torch.nn.Sequential(torch.nn.Linear(2, 1))
     module[0].weight.data[:], module[0].bias.data[:] = 0.1, 0.2
     assert isinstance(ClosedLoop(loop.system, module).network, MaxoutNetwork)
+
+
+def test_a_loop_is_shown_by_its_sizes():
+    assert str(affine_loop(np.eye(2))) == "ClosedLoop(1 mode, 2 states, 1 input, 0 binaries)"
+    with pytest.raises(TypeError, match="system must be of the kind PWASystem"):
+        ClosedLoop(None, affine_loop(np.eye(2)).network)
 
 
 def test_with_disturbance_keeps_the_rest():

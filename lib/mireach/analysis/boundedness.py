@@ -5,14 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..approximation.fit import prove_error
+from ..approximation.error_bound import prove_error
 from ..checks import require_kind
 from ..engines.base import Engine
 from ..engines.inputs import violating_state
 from ..results import Result, Verdict
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from ..systems.pwa import NonlinearSystem
+from ..systems.nonlinear import NonlinearSystem
 from .comparison import compare, weaker
 from .safe_set import SafeSet
 from .terminal_set import TerminalSet

@@ -1,4 +1,5 @@
-from .fit import ErrorProof, PWAFit, error_directions, fit_pwa, prove_error
+from .error_bound import ErrorProof, error_directions, prove_error
+from .fit import PWAFit, fit_pwa
 
 __all__ = [
     "ErrorProof",

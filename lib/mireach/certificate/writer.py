@@ -22,7 +22,7 @@ from ..engines.registry import engine_for
 from ..files import write_json
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from ..systems.pwa import NonlinearSystem
+from ..systems.nonlinear import NonlinearSystem
 from . import checker
 from .checker import Report
 

@@ -19,7 +19,7 @@ from ..sets.polytope import Polytope, directions
 from ..studies.case_studies import CaseStudy, case_study, double_integrator_fit
 from ..studies.seed_study import load_study
 from ..systems.loop import ClosedLoop
-from ..systems.pwa import NonlinearSystem
+from ..systems.nonlinear import NonlinearSystem
 
 OWN = "own"  # name of a network that is not one of the seed study
 SHAPES = {"box": "ball", "segment": "polytope"}  # name in the lab -> `error` of `fit_pwa`

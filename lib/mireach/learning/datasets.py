@@ -2,26 +2,44 @@
 
 import csv
 import io
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 from tqdm.auto import tqdm
 
-from ..checks import real_array, require_columns
+from ..checks import real_array, require_columns, whole_number
 from ..errors import CorruptFileError, MireachError
 from ..files import END, write_whole
+from ..sets.polytope import Polytope
 from ..systems.plants import double_integrator_plant, four_tanks_plant, pwa_plant, three_tanks_plant
+from ..systems.pwa import PWASystem
+from ..typing import Array, ArrayLike
 from ..workers import in_parallel
-from .mpc import NonlinearMPC, solve_miqp
-
-THREE_TANKS_HORIZON, THREE_TANKS_Q, THREE_TANKS_R = 8, (0.1, 0.1, 1.0), 10.0
-FOUR_TANKS_HORIZON, FOUR_TANKS_Q, FOUR_TANKS_R = 20, (1.0, 1.0, 0.1, 0.1), 5.0
+from .mpc import MIQPSolution, NonlinearMPC, NonlinearSolution, solve_miqp
 
 
-@dataclass(frozen=True, eq=False)
+class Regulation(NamedTuple):
+    """An optimal control problem with Q = diag(q), R = r I, and as P the cost to go of the unconstrained regulator."""
+
+    horizon: int
+    q: tuple[float, ...]
+    r: float
+
+
+THREE_TANKS = Regulation(horizon=8, q=(0.1, 0.1, 1.0), r=10.0)
+FOUR_TANKS = Regulation(horizon=20, q=(1.0, 1.0, 0.1, 0.1), r=5.0)
+CHUNKS = 40  # of states, each one task of a process
+
+Solutions: TypeAlias = Sequence[MIQPSolution | NonlinearSolution]
+Show: TypeAlias = Callable[[Any], Iterable[Any]]  # goes through states, with or without a progress bar
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class DataSet:
     """Solutions of an optimal control problem at many states.
 
@@ -40,30 +58,48 @@ class DataSet:
     ------
     ValueError
         If sizes do not match or an entry is not finite.
+
+    See Also
+    --------
+    train : Fits a network to the states and inputs.
+
+    Examples
+    --------
+    >>> DataSet(states=[[0.5, 2.0]], inputs=[[3.0]], costs=[4.0], infeasible=[[8.0, 0.25]])
+    DataSet(1 states with inputs, 1 infeasible)
     """
 
-    states: np.ndarray
-    inputs: np.ndarray
-    costs: np.ndarray
-    infeasible: np.ndarray
+    states: Array
+    inputs: Array
+    costs: Array
+    infeasible: Array
 
-    def __post_init__(self):
-        for name, ndim in (("states", 2), ("inputs", 2), ("costs", 1), ("infeasible", 2)):
-            object.__setattr__(self, name, real_array(getattr(self, name), name, ndim))
-        for name in ("inputs", "costs"):
-            if len(getattr(self, name)) != len(self.states):
-                raise ValueError(f"{name} has {len(getattr(self, name))} rows but states has {len(self.states)}")
-        require_columns(self.infeasible, self.states.shape[1], "infeasible", "as states has")
+    def __init__(self, states: ArrayLike, inputs: ArrayLike, costs: ArrayLike, infeasible: ArrayLike) -> None:
+        states, infeasible = real_array(states, "states", 2), real_array(infeasible, "infeasible", 2)
+        inputs, costs = real_array(inputs, "inputs", 2), real_array(costs, "costs", 1)
+        for name, value in (("inputs", inputs), ("costs", costs)):
+            if len(value) != len(states):
+                raise ValueError(f"{name} has {len(value)} rows but states has {len(states)}")
+        require_columns(infeasible, states.shape[1], "infeasible", "as states has")
+        fields = {"states": states, "inputs": inputs, "costs": costs, "infeasible": infeasible}
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.states)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"DataSet({len(self)} states with inputs, {len(self.infeasible)} infeasible)"
 
-    def save(self, path):
+    def save(self, path: str | Path) -> None:
         """Write the data as CSV whose numbers read back to the same floats.
 
+        Parameters
+        ----------
+        path : str or Path
+
+        Notes
+        -----
         The columns are x1.., u1.., cost, feasible (1 or 0; u and cost are blank where it is 0), and the
         last line, a comment, gives the number of rows.
         """
@@ -75,8 +111,12 @@ class DataSet:
         write_whole(path, "\n".join([*lines, END.format(len(lines) - 1)]) + "\n")
 
     @staticmethod
-    def load(path):
+    def load(path: str | Path) -> "DataSet":
         """Read a data set that `save` wrote.
+
+        Parameters
+        ----------
+        path : str or Path
 
         Raises
         ------
@@ -89,28 +129,43 @@ class DataSet:
             raise CorruptFileError(f"{path} holds no data set: {error}; restore it or make it again") from error
 
 
-def make_pwa_data(seed=0, count=1000, progress=True, jobs=1):
-    """The MIQP of case study 1 at random states (Sec. IV.A of [Teichrib2025]).
+def make_pwa_data(
+    rng: np.random.Generator | int = 0, count: int = 1000, *, progress: bool = False, jobs: int = 1
+) -> DataSet:
+    """The MIQP of case study 1 at random states (Sec. V.A of [Teichrib2025]).
 
     Parameters
     ----------
-    seed : int
+    rng : numpy.random.Generator or int
+        Draws the states; an int is a seed.
     count : int
-        States, uniform in X.
+        Number of states, uniform in X.
     progress : bool
         Show a progress bar.
     jobs : int
-        Processes, -1 for one a core; anything but 1 needs joblib. The result does not depend on it.
+        Processes, -1 for one per core; anything but 1 needs joblib. The result does not depend on it.
 
     Returns
     -------
     DataSet
+
+    Raises
+    ------
+    ValueError
+        If `count` is not a whole number of at least 1.
+    MireachError
+        If no state has a feasible input sequence.
+
+    Examples
+    --------
+    >>> make_pwa_data(rng=3, count=5)
+    DataSet(5 states with inputs, 0 infeasible)
     """
-    return _collect(_uniform(pwa_plant().state_set, seed, count), _solve_pwa, progress, jobs)
+    return _collect(_uniform(pwa_plant().state_set, rng, count), _solve_pwa, progress, jobs)
 
 
-def make_double_integrator_data(grid=30, progress=True, jobs=1):
-    """The nonlinear problem of case study 2 on a regular grid over X (Sec. IV.B of [Teichrib2025]).
+def make_double_integrator_data(grid: int = 30, *, progress: bool = False, jobs: int = 1) -> DataSet:
+    """The nonlinear problem of case study 2 on a regular grid over X (Sec. V.B of [Teichrib2025]).
 
     Parameters
     ----------
@@ -122,14 +177,30 @@ def make_double_integrator_data(grid=30, progress=True, jobs=1):
     Returns
     -------
     DataSet
+
+    Raises
+    ------
+    ValueError
+        If `grid` is not a whole number of at least 2.
+    MireachError
+        If no state has a feasible input sequence.
+
+    Examples
+    --------
+    >>> data = make_double_integrator_data(grid=3)
+    >>> len(data) + len(data.infeasible)
+    9
     """
+    grid = whole_number(grid, "grid", 2)
     lower, upper = double_integrator_plant().state_set.bounding_box()
     axes = [np.linspace(low, high, grid) for low, high in zip(lower, upper)]
     states = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     return _collect(states, _solve_nonlinear, progress, jobs)
 
 
-def make_three_tanks_data(seed=0, count=1500, progress=True, jobs=1):
+def make_three_tanks_data(
+    rng: np.random.Generator | int = 0, count: int = 1500, *, progress: bool = False, jobs: int = 1
+) -> DataSet:
     """The MIQP of the three tanks at random states.
 
     The middle level counts most: Q = diag(0.1, 0.1, 1), R = 10 I, N = 8, and P is the cost of the regulator that
@@ -137,32 +208,34 @@ def make_three_tanks_data(seed=0, count=1500, progress=True, jobs=1):
 
     Parameters
     ----------
-    seed, count, progress, jobs
-        As in `make_pwa_data`.
+    rng, count, progress, jobs
+        As in `make_pwa_data`, which also says what is raised.
 
     Returns
     -------
     DataSet
     """
-    return _collect(_uniform(three_tanks_plant().state_set, seed, count), _solve_three_tanks, progress, jobs)
+    return _collect(_uniform(three_tanks_plant().state_set, rng, count), _solve_three_tanks, progress, jobs)
 
 
-def make_four_tanks_data(seed=0, count=2000, progress=True, jobs=1):
+def make_four_tanks_data(
+    rng: np.random.Generator | int = 0, count: int = 2000, *, progress: bool = False, jobs: int = 1
+) -> DataSet:
     """The QP of the four tanks at random states: Q = diag(1, 1, 0.1, 0.1), R = 5 I, N = 20, P of the optimal regulator.
 
     Parameters
     ----------
-    seed, count, progress, jobs
-        As in `make_pwa_data`.
+    rng, count, progress, jobs
+        As in `make_pwa_data`, which also says what is raised.
 
     Returns
     -------
     DataSet
     """
-    return _collect(_uniform(four_tanks_plant().state_set, seed, count), _solve_four_tanks, progress, jobs)
+    return _collect(_uniform(four_tanks_plant().state_set, rng, count), _solve_four_tanks, progress, jobs)
 
 
-MAKERS = {
+MAKERS: dict[str, Callable[..., DataSet]] = {
     "pwa": make_pwa_data,
     "double_integrator": make_double_integrator_data,
     "three_tanks": make_three_tanks_data,
@@ -170,74 +243,81 @@ MAKERS = {
 }
 
 
-def _solve_pwa(states, show):
+def _solve_pwa(states: Array, show: Show) -> Solutions:
+    """Solutions of case study 1."""
     system = pwa_plant()
     return [solve_miqp(system, x) for x in show(states)]
 
 
-def _solve_nonlinear(states, show):
+def _solve_nonlinear(states: Array, show: Show) -> Solutions:
+    """Solutions of case study 2."""
     mpc = NonlinearMPC(double_integrator_plant())
     return [mpc.solve(x) for x in show(states)]
 
 
-def _solve_three_tanks(states, show):
-    return _solve_regulation(three_tanks_plant(), THREE_TANKS_HORIZON, THREE_TANKS_Q, THREE_TANKS_R, states, show)
+def _solve_three_tanks(states: Array, show: Show) -> Solutions:
+    """Solutions of the three tanks."""
+    return _solve_regulation(three_tanks_plant(), THREE_TANKS, show(states))
 
 
-def _solve_four_tanks(states, show):
-    return _solve_regulation(four_tanks_plant(), FOUR_TANKS_HORIZON, FOUR_TANKS_Q, FOUR_TANKS_R, states, show)
+def _solve_four_tanks(states: Array, show: Show) -> Solutions:
+    """Solutions of the four tanks."""
+    return _solve_regulation(four_tanks_plant(), FOUR_TANKS, show(states))
 
 
-def _solve_regulation(system, horizon, q, r, states, show):
-    """Solutions with Q = diag(q), R = r I, and as P the cost to go of the first mode without constraints."""
-    first, Q, R = system.modes[0], np.diag(q), r * np.eye(system.input_size)
-    P = solve_discrete_are(first.A, first.B, Q, R)
-    return [solve_miqp(system, x, horizon, Q, R, P) for x in show(states)]
+def _solve_regulation(system: PWASystem, problem: Regulation, states: Iterable[Array]) -> Solutions:
+    """Solutions of a regulation problem; P is that of the first mode."""
+    Q, R = np.diag(problem.q), problem.r * np.eye(system.input_size)
+    P = solve_discrete_are(system.modes[0].A, system.modes[0].B, Q, R)
+    return [solve_miqp(system, x, problem.horizon, Q, R, P) for x in states]
 
 
-def _uniform(box, seed, count):
+def _uniform(box: Polytope, rng: np.random.Generator | int, count: int) -> Array:
     """Random states of a box: array (count, n)."""
     lower, upper = box.bounding_box()
-    return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
+    return np.random.default_rng(rng).uniform(lower, upper, (whole_number(count, "count", 1), len(lower)))
 
 
-def _collect(states, solve, progress, jobs):
+def _collect(states: Array, solve: Callable[[Array, Show], Solutions], progress: bool, jobs: int) -> DataSet:
     """The data set of `solve(states, show)`, a list of solutions, in `jobs` processes."""
     if jobs == 1:
         solutions = solve(states, partial(tqdm, desc="optimal control", unit="state", disable=not progress))
     else:
         solutions = _in_parallel(states, solve, progress, jobs)
     feasible = np.array([solution.feasible for solution in solutions], dtype=bool)
-    found = [solution for solution in solutions if solution.feasible]
-    if not found:
+    solved = [(solution.inputs[0], solution.cost) for solution in solutions if solution.inputs is not None]
+    if not solved:
         raise MireachError(f"none of the {len(states)} states has a feasible input sequence; check the constraints")
-    inputs, costs = [solution.inputs[0] for solution in found], [solution.cost for solution in found]
-    return DataSet(states[feasible], np.array(inputs), np.array(costs), states[~feasible])
+    inputs, costs = (np.array(values) for values in zip(*solved))
+    return DataSet(states[feasible], inputs, costs, states[~feasible])
 
 
-def _in_parallel(states, solve, progress, jobs):
-    """Solutions in the order of `states`, a chunk a task."""
-    chunks = np.array_split(states, min(len(states), 40))
+def _in_parallel(
+    states: Array, solve: Callable[[Array, Show], Solutions], progress: bool, jobs: int
+) -> list[MIQPSolution | NonlinearSolution]:
+    """Solutions in the order of `states`, one chunk per task."""
+    chunks = np.array_split(states, min(len(states), CHUNKS))
     done = in_parallel(solve, [(chunk, iter) for chunk in chunks], jobs)
     shown = tqdm(done, total=len(chunks), desc="optimal control", unit="chunk", disable=not progress)
     return [solution for part in shown for solution in part]
 
 
-def _columns(n, m):
+def _columns(n: int, m: int) -> list[str]:
     """Names of the columns for n states and m inputs."""
     return [*(f"x{i + 1}" for i in range(n)), *(f"u{i + 1}" for i in range(m)), "cost", "feasible"]
 
 
-def _parse(text):
+def _parse(text: str) -> DataSet:
     """The data set in a file's text; ValueError says what is wrong and where."""
-    header, *rows = csv.reader(io.StringIO(text)) if text else [[]]
+    header, *rows = [*csv.reader(io.StringIO(text))] or [[]]
     n, m = (sum(name.startswith(letter) for name in header) for letter in "xu")
     if header != _columns(n, m) or not n or not m:
         raise ValueError(f"its first line is {','.join(header)!r:.80}, not the columns x1.., u1.., cost, feasible")
     count = len(rows) - 1
     if not rows or ",".join(rows[-1]) != END.format(count) or not text.endswith("\n"):
         raise ValueError(f"its last line is not {END.format('(number of rows)')!r} for what it holds; it is truncated")
-    solved, infeasible = [], []
+    solved: list[list[float]] = []
+    infeasible: list[list[float]] = []
     for number, row in enumerate(rows[:-1], start=2):
         try:
             if len(row) != len(header) or row[-1] not in ("0", "1") or (row[-1] == "0" and any(row[n:-1])):

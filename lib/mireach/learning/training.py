@@ -1,4 +1,4 @@
-"""Training of maxout networks on the solutions of an optimal control problem (Sec. IV of [Teichrib2025])."""
+"""Training of maxout networks on the solutions of an optimal control problem (Sec. V of [Teichrib2025])."""
 
 import math
 from dataclasses import dataclass
@@ -6,42 +6,34 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm.auto import trange
 
-from ..checks import real_array
+from ..checks import positive_number, real_array, whole_number
 from ..errors import MissingExtraError
 from ..systems.network import Layer, MaxoutNetwork
+from ..typing import Array, ArrayLike
 
 try:
     import torch
 except ImportError as missing:
     raise MissingExtraError("training", "torch", "train") from missing
 
+from ..systems.torch_import import Maxout
+
+__all__ = ["LEAK", "Maxout", "TrainingResult", "maxout_module", "torch", "train"]
+
 LEAK = 0.01  # slope of the loss's clipping outside U: keeps a gradient where the output is cut off
 BETAS = (0.9, 0.99)  # Adam's; a shorter memory of squares than its default fits these small networks better
 LOSS_EVERY = 100  # steps between two entries of the history
 
 
-class Maxout(torch.nn.Module):
-    """The largest of each group of `pool` consecutive values (eq. maxout); follows a Linear.
-
-    Parameters
-    ----------
-    pool : int
-        Values a group, the paper's p_i.
-    """
-
-    def __init__(self, pool):
-        super().__init__()
-        self.pool = pool
-
-    def forward(self, z):
-        """(..., w pool) -> (..., w)."""
-        return z.unflatten(-1, (-1, self.pool)).amax(dim=-1)
-
-    def extra_repr(self):
-        return f"pool={self.pool}"
-
-
-def maxout_module(inputs, outputs, layers, width, pool, generator=None):
+def maxout_module(
+    inputs: int,
+    outputs: int,
+    *,
+    layers: int,
+    width: int,
+    pool: int,
+    rng: np.random.Generator | int = 0,
+) -> torch.nn.Sequential:
     """A maxout network as torch modules, in double precision.
 
     Parameters
@@ -49,25 +41,44 @@ def maxout_module(inputs, outputs, layers, width, pool, generator=None):
     inputs, outputs : int
         n and m.
     layers, width, pool : int
-        l, w_i and p_i of Sec. II.B.
-    generator : torch.Generator or None
-        Draws the weights; None is torch's own.
+        l, w_i and p_i of Sec. II.A.
+    rng : numpy.random.Generator or int
+        Draws the weights; an int is the seed of torch's generator.
 
     Returns
     -------
     torch.nn.Sequential
         Linear and Maxout in turn, and a last Linear.
+
+    Raises
+    ------
+    ValueError
+        If a size is not a whole number of at least 1 (`layers`: 0).
+
+    See Also
+    --------
+    MaxoutNetwork.from_torch : Imports the module.
+
+    Examples
+    --------
+    >>> [type(part).__name__ for part in maxout_module(2, 1, layers=1, width=3, pool=2)]
+    ['Linear', 'Maxout', 'Linear']
     """
-    parts, size = [], inputs
+    layers = whole_number(layers, "layers", 0)
+    width, pool = whole_number(width, "width", 1), whole_number(pool, "pool", 1)
+    seed = int(rng.integers(2**63)) if isinstance(rng, np.random.Generator) else whole_number(rng, "rng", 0)
+    generator = torch.Generator().manual_seed(seed)
+    parts: list[torch.nn.Module] = []
+    size = whole_number(inputs, "inputs", 1)
     for _ in range(layers):
         parts += [_linear(size, width * pool, generator), Maxout(pool)]
         size = width
-    return torch.nn.Sequential(*parts, _linear(size, outputs, generator))
+    return torch.nn.Sequential(*parts, _linear(size, whole_number(outputs, "outputs", 1), generator))
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingResult:
-    """Answer of `train`.
+    """Result of `train`.
 
     Attributes
     ----------
@@ -81,22 +92,38 @@ class TrainingResult:
 
     network: MaxoutNetwork
     loss: float
-    history: np.ndarray
+    history: Array
+
+    def __repr__(self) -> str:
+        return f"TrainingResult({self.network}, loss {self.loss:.6g})"
 
 
-def train(states, inputs, *, layers, width, pool, lower, upper, seed=0, steps=6000, learning_rate=0.01, progress=True):
-    """Fit a maxout network to states and inputs.
+def train(
+    states: ArrayLike,
+    inputs: ArrayLike,
+    *,
+    layers: int,
+    width: int,
+    pool: int,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    rng: np.random.Generator | int = 0,
+    steps: int = 6000,
+    learning_rate: float = 0.01,
+    progress: bool = False,
+) -> TrainingResult:
+    """Fit a maxout network to states and inputs, by the mean squared error of its output clipped to U.
 
     Parameters
     ----------
     states : array (N, n)
     inputs : array (N, m)
     layers, width, pool : int
-        l, w_i and p_i of Sec. II.B.
+        l, w_i and p_i of Sec. II.A.
     lower, upper : array (m,) or float
-        The input box U to which the network is saturated.
-    seed : int
-        Decides the initial weights; the same seed gives the same network on the same machine with the
+        The input box U to which the network is saturated, in units of u.
+    rng : numpy.random.Generator or int
+        Draws the initial weights. The same seed gives the same network on the same machine with the
         same number of threads.
     steps : int
     learning_rate : float
@@ -111,30 +138,55 @@ def train(states, inputs, *, layers, width, pool, lower, upper, seed=0, steps=60
     Raises
     ------
     ValueError
-        If sizes do not match.
+        If sizes do not match, or a number is out of its range.
+
+    See Also
+    --------
+    DataSet : States and inputs from an optimal control problem.
 
     Notes
     -----
     Adam on all data at once. The loss is taken of the output clipped to U with a small slope outside,
     so that a state at which the output is cut off on the wrong side still pulls it back. States are
-    scaled to [-1, 1] for the training, and the scaling is folded into the first layer. The caller's
-    random numbers are left alone.
+    scaled to [-1, 1] for the training, and the scaling is folded into the first layer. The global random
+    generators of numpy and torch are not used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.linspace(-1, 1, 21)[:, None]
+    >>> result = train(x, np.abs(x), layers=1, width=2, pool=2, lower=0, upper=1, steps=300)
+    >>> result.network
+    MaxoutNetwork(1 -> [2x2, 1x2, 1x2] -> 1, 8 binaries)
+    >>> result.loss < 0.1
+    True
     """
     states, inputs = real_array(states, "states", 2), real_array(inputs, "inputs", 2)
     if len(states) != len(inputs) or not len(states):
-        raise ValueError(f"states has {len(states)} rows and inputs has {len(inputs)}; one input a state is needed")
-    m = inputs.shape[1]
+        raise ValueError(f"states has {len(states)} rows and inputs has {len(inputs)}; one input per state is needed")
+    n, m = states.shape[1], inputs.shape[1]
     lower = real_array(np.broadcast_to(lower, m), "lower", 1)
     upper = real_array(np.broadcast_to(upper, m), "upper", 1)
+    steps, learning_rate = whole_number(steps, "steps", 0), positive_number(learning_rate, "learning_rate")
     centre, scale = _scaling(states)
-    module = maxout_module(states.shape[1], m, layers, width, pool, generator=torch.Generator().manual_seed(seed))
-    data = [torch.tensor(value) for value in ((states - centre) / scale, inputs, lower, upper)]
-    history = _descend(module, *data, steps, learning_rate, progress)
+    module = maxout_module(n, m, layers=layers, width=width, pool=pool, rng=rng)
+    data = _Data(*(torch.tensor(value) for value in ((states - centre) / scale, inputs, lower, upper)))
+    history = _descend(module, data, steps, learning_rate, progress)
     network = _unscale(MaxoutNetwork.from_torch(module), centre, scale).saturate(lower, upper)
     return TrainingResult(network, float(((network(states) - inputs) ** 2).mean()), np.array(history).reshape(-1, 2))
 
 
-def _linear(inputs, outputs, generator):
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """What the loss depends on: scaled states x (N, n), inputs u (N, m), and the box (m,) that clips outputs."""
+
+    x: torch.Tensor
+    u: torch.Tensor
+    lower: torch.Tensor
+    upper: torch.Tensor
+
+
+def _linear(inputs: int, outputs: int, generator: torch.Generator) -> torch.nn.Linear:
     """A Linear in double precision whose weights and biases are drawn from `generator` alone."""
     part = torch.nn.utils.skip_init(torch.nn.Linear, inputs, outputs, dtype=torch.float64)
     limit = 1 / math.sqrt(inputs)
@@ -144,36 +196,38 @@ def _linear(inputs, outputs, generator):
     return part
 
 
-def _descend(module, x, u, lower, upper, steps, learning_rate, progress):
+def _descend(
+    module: torch.nn.Module, data: _Data, steps: int, learning_rate: float, progress: bool
+) -> list[tuple[int, float]]:
     """Adam on the leaky clipped loss; returns the history."""
     optimizer = torch.optim.Adam(module.parameters(), lr=learning_rate, betas=BETAS, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=max(steps, 1))
     history = []
     for step in trange(steps, desc="training", unit="step", disable=not progress):
         optimizer.zero_grad()
-        output = module(x)
-        clipped = output.clamp(lower, upper)
+        output = module(data.x)
+        clipped = output.clamp(data.lower, data.upper)
         if step % LOSS_EVERY == 0:
-            history.append((step, float(((clipped.detach() - u) ** 2).mean())))
-        loss = ((clipped + LEAK * (output - clipped) - u) ** 2).mean()
+            history.append((step, float(((clipped.detach() - data.u) ** 2).mean())))
+        loss = ((clipped + LEAK * (output - clipped) - data.u) ** 2).mean()
         loss.backward()
         optimizer.step()
         schedule.step()
     return history
 
 
-def _scaling(states):
-    """Middle and half width of the data along each axis; 1 in place of a width of 0."""
+def _scaling(states: Array) -> tuple[Array, Array]:
+    """Middle and half-width of the data along each axis; 1 in place of a half-width of 0."""
     lower, upper = states.min(axis=0), states.max(axis=0)
-    half = (upper - lower) / 2
-    return (lower + upper) / 2, np.where(half > 0, half, 1.0)
+    half_width = (upper - lower) / 2
+    return (lower + upper) / 2, np.where(half_width > 0, half_width, 1.0)
 
 
-def _unscale(network, centre, scale):
+def _unscale(network: MaxoutNetwork, centre: Array, scale: Array) -> MaxoutNetwork:
     """The network x -> network((x - centre) / scale)."""
     first = network.hidden[0] if network.hidden else network
     weight = first.weight / scale
     bias = first.bias - weight @ centre
-    if not network.hidden:
+    if isinstance(first, MaxoutNetwork):
         return MaxoutNetwork((), weight, bias)
     return MaxoutNetwork((Layer(weight, bias, first.pool), *network.hidden[1:]), network.weight, network.bias)

@@ -17,6 +17,7 @@ from ..learning.datasets import DataSet
 from ..sets.polytope import Polytope, box_directions, directions
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
+from ..systems.nonlinear import NonlinearSystem
 from ..systems.plants import (
     FOUR_TANKS_DISTURBANCE,
     INTEGRATOR_DISTURBANCE,
@@ -28,7 +29,7 @@ from ..systems.plants import (
     pwa_plant,
     three_tanks_plant,
 )
-from ..systems.pwa import NonlinearSystem, PWASystem
+from ..systems.pwa import PWASystem
 
 PLANTS = {
     "pwa": pwa_plant,

@@ -176,7 +176,7 @@ def train_case(name, seed, data=None, **training):
     torch.set_num_threads(1)
     data = DataSet.load(data_file(name, "samples.csv")) if data is None else data
     lower, upper = PLANTS[name]().input_set.bounding_box()
-    result = train(data.states, data.inputs, **SHAPES[name], lower=lower, upper=upper, seed=seed, **training)
+    result = train(data.states, data.inputs, **SHAPES[name], lower=lower, upper=upper, rng=seed, **training)
     return result.network, result.loss
 
 

@@ -1,1 +1,1 @@
-"""What is analysed: maxout networks, piecewise-affine systems, the closed loop, example plants."""
+"""What is analysed: maxout networks, piecewise-affine and nonlinear systems, the closed loop, example plants."""

@@ -1,16 +1,20 @@
-"""The plants of the case studies; every number of theirs is written here, once.
+"""The plants of the case studies; each of their numbers is written here, once.
 
 `pwa` and `double_integrator` are those of Sec. V of [Teichrib2025], `three_tanks` and `four_tanks` two benchmarks of
 process control with more than two states.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
+from ..checks import whole_number
 from ..sets.polytope import Polytope
-from .pwa import Mode, NonlinearSystem, PWASystem
+from .nonlinear import NonlinearSystem
+from .pwa import Mode, PWASystem
 
 # Case 1: the four modes; the matrix A of each, with the signs s of its region {x : s_i x_i >= 0}.
 PWA_MODES = (
@@ -23,7 +27,7 @@ PWA_B = ((1.0,), (0.0,))
 PWA_STATE_LIMIT, PWA_INPUT_LIMIT = 10.0, 1.0  # |x|_inf and |u|
 PWA_DISTURBANCE = 0.15  # |d|_inf
 
-# Case 2: x+ = A x + B u + CURVATURE x'x in both components (eq. NL_DI).
+# Case 2: x+ = A x + B u + CURVATURE x'x in both components, eq. (29), NL_DI.
 INTEGRATOR_A = ((1.0, 1.0), (0.0, 1.0))
 INTEGRATOR_B = (0.5, 1.0)
 INTEGRATOR_CURVATURE = 0.025
@@ -57,8 +61,8 @@ FOUR_TANKS_DISTURBANCE = 0.05  # |d|_inf, cm
 GRAVITY = 981.0  # cm/s^2
 
 
-def pwa_plant(disturbance_bound=PWA_DISTURBANCE):
-    """The four-mode system of case study 1.
+def pwa_plant(disturbance_bound: float = PWA_DISTURBANCE) -> PWASystem:
+    """The four-mode system of case study 1, Sec. V.A of [Teichrib2025].
 
     Parameters
     ----------
@@ -69,24 +73,46 @@ def pwa_plant(disturbance_bound=PWA_DISTURBANCE):
     -------
     PWASystem
         The regions are the quadrants, closed, and do not depend on u.
+
+    Raises
+    ------
+    ValueError
+        If the bound is negative.
+
+    Examples
+    --------
+    >>> pwa_plant()
+    PWASystem(4 modes, 2 states, 1 input)
     """
     D = _cube(_bound(disturbance_bound), 2)
     modes = [Mode(A, PWA_B, np.zeros(2), _quadrant(signs), D) for A, signs in PWA_MODES]
     return PWASystem(modes, _cube(PWA_STATE_LIMIT, 2), _cube(PWA_INPUT_LIMIT, 1))
 
 
-def double_integrator(x, u):
-    """f(x, u) of eq. NL_DI, on anything that can be indexed, added, multiplied and squared."""
+def double_integrator(x: Any, u: Any) -> tuple[Any, ...]:
+    """f(x, u) of eq. (29), NL_DI, on anything that can be indexed, added, multiplied and squared.
+
+    Examples
+    --------
+    >>> double_integrator([2.0, 0.0], [1.0])
+    (2.6, 1.1)
+    """
     bend = INTEGRATOR_CURVATURE * (x[0] ** 2 + x[1] ** 2)
     return tuple(row[0] * x[0] + row[1] * x[1] + gain * u[0] + bend for row, gain in zip(INTEGRATOR_A, INTEGRATOR_B))
 
 
-def double_integrator_plant():
-    """The nonlinear double integrator of case study 2 (eq. NL_DI), a NonlinearSystem."""
+def double_integrator_plant() -> NonlinearSystem:
+    """The nonlinear double integrator of case study 2, eq. (29), NL_DI, with |x|_inf <= 6 and |u| <= 2.
+
+    Examples
+    --------
+    >>> double_integrator_plant()
+    NonlinearSystem(2 states, 1 input)
+    """
     return NonlinearSystem(double_integrator, _cube(INTEGRATOR_STATE_LIMIT, 2), _cube(INTEGRATOR_INPUT_LIMIT, 1))
 
 
-def three_tanks_plant(disturbance_bound=THREE_TANKS_DISTURBANCE):
+def three_tanks_plant(disturbance_bound: float = THREE_TANKS_DISTURBANCE) -> PWASystem:
     """Three tanks in a row, pumps above the outer two, a drain below the middle one: n = 3, m = 2, four modes.
 
     Each outer tank is joined to the middle one by a pipe at the bottom, which carries q = k (h_i - h_3), and by one at
@@ -108,11 +134,21 @@ def three_tanks_plant(disturbance_bound=THREE_TANKS_DISTURBANCE):
         keeps them there, in units of the largest flow of a pump, 100 cm^3/s. The upper pipes sit at 30 cm, so all
         modes meet at the origin; h_3 stays below them.
 
+    Raises
+    ------
+    ValueError
+        If the bound is negative.
+
     Notes
     -----
     The three-tank benchmark in its mixed logical dynamical form [Bemporad1999b, Yaakoubi2023], with the parameters and
     secants in common use for it. Here all four pipes and the drain are open and the outer tanks do not leak. The levels
     to be kept, the sampling time, X and the disturbance are our choice.
+
+    Examples
+    --------
+    >>> three_tanks_plant()
+    PWASystem(4 modes, 3 states, 2 inputs)
     """
     D = _cube(_bound(disturbance_bound), 3)
     per_area = THREE_TANKS_SAMPLING / THREE_TANKS_AREA
@@ -127,12 +163,12 @@ def three_tanks_plant(disturbance_bound=THREE_TANKS_DISTURBANCE):
     for signs in product((-1, 1), repeat=2):  # +1: the level is above the upper pipe
         k1, k2 = (k + kappa if sign > 0 else k for sign in signs)
         A = [[1 - k1, 0.0, k], [0.0, 1 - k2, k], [k1, k2, 1 - 3 * k]]
-        region = Polytope([[-signs[0], 0, 0, 0, 0], [0, -signs[1], 0, 0, 0]], np.zeros(2))
+        region = Polytope(np.array([[-signs[0], 0, 0, 0, 0], [0, -signs[1], 0, 0, 0]]), np.zeros(2))
         modes.append(Mode(A, B, np.zeros(3), region, D))
     return PWASystem(modes, _cube(THREE_TANKS_STATE_LIMIT, 3), Polytope.box(-resting, 1 - resting))
 
 
-def four_tanks_plant(disturbance_bound=FOUR_TANKS_DISTURBANCE):
+def four_tanks_plant(disturbance_bound: float = FOUR_TANKS_DISTURBANCE) -> PWASystem:
     """Two tanks below two others, each pump feeding a lower and the opposite upper one: n = 4, m = 2, one mode.
 
     The linearisation of [Johansson2000], with the time constants T_i = A_i / a_i sqrt(2 h_i / g),
@@ -152,10 +188,20 @@ def four_tanks_plant(disturbance_bound=FOUR_TANKS_DISTURBANCE):
     PWASystem
         x is the deviation of the levels from (12.4, 12.7, 1.8, 1.4) cm, u that of the pumps from 3 V each.
 
+    Raises
+    ------
+    ValueError
+        If the bound is negative.
+
     Notes
     -----
     All parameters are those of the paper at its operating point P-, where the zeros are stable. The sampling time, X,
     U and the disturbance are our choice.
+
+    Examples
+    --------
+    >>> four_tanks_plant()
+    PWASystem(1 mode, 4 states, 2 inputs)
     """
     D = _cube(_bound(disturbance_bound), 4)
     area, outlet, level = map(np.array, (FOUR_TANKS_AREAS, FOUR_TANKS_OUTLETS, FOUR_TANKS_LEVELS))
@@ -166,12 +212,12 @@ def four_tanks_plant(disturbance_bound=FOUR_TANKS_DISTURBANCE):
     B[[0, 3], 0] = gamma1 * k1 / area[0], (1 - gamma1) * k1 / area[3]
     B[[1, 2], 1] = gamma2 * k2 / area[1], (1 - gamma2) * k2 / area[2]
     sampled = expm(FOUR_TANKS_SAMPLING * np.block([[A, B], [np.zeros((2, 6))]]))[:4]
-    mode = Mode(sampled[:, :4], sampled[:, 4:], np.zeros(4), Polytope(np.zeros((1, 6)), [1.0]), D)
+    mode = Mode(sampled[:, :4], sampled[:, 4:], np.zeros(4), Polytope(np.zeros((1, 6)), np.ones(1)), D)
     limits = np.array(FOUR_TANKS_STATE_LIMITS)
     return PWASystem([mode], Polytope.box(-limits, limits), _cube(FOUR_TANKS_INPUT_LIMIT, 2))
 
 
-def chessboard(state_set, input_set, cells=3):
+def chessboard(state_set: Polytope, input_set: Polytope, cells: int = 3) -> list[Polytope]:
     """Regions that divide X into a regular pattern of boxes, each times U.
 
     Parameters
@@ -186,26 +232,36 @@ def chessboard(state_set, input_set, cells=3):
     list of Polytope
         cells^n regions in (x, u), the last axis of x running fastest; neighbours share their edge as
         the same float.
+
+    Raises
+    ------
+    ValueError
+        If `cells` is not a whole number of at least 1.
+
+    Examples
+    --------
+    >>> X, U = Polytope.box([-6, -6], [6, 6]), Polytope.box([-2], [2])
+    >>> [region.bounding_box()[1].tolist() for region in chessboard(X, U, cells=2)]
+    [[0.0, 0.0, 2.0], [0.0, 6.0, 2.0], [6.0, 0.0, 2.0], [6.0, 6.0, 2.0]]
     """
-    if cells != int(cells) or cells < 1:
-        raise ValueError(f"cells must be a whole number of at least 1; got {cells}")
+    cells = whole_number(cells, "cells", 1)
     lower, upper = state_set.bounding_box()
-    axes = [list(pairwise(np.linspace(low, high, int(cells) + 1))) for low, high in zip(lower, upper)]
+    axes = [list(pairwise(np.linspace(low, high, cells + 1))) for low, high in zip(lower, upper)]
     return [Polytope.box(*np.transpose(sides)).product(input_set) for sides in product(*axes)]
 
 
-def _bound(disturbance_bound):
+def _bound(disturbance_bound: float) -> float:
     """The bound itself; ValueError if it is negative."""
     if not disturbance_bound >= 0:
         raise ValueError(f"disturbance_bound must be at least 0; got {disturbance_bound}")
     return disturbance_bound
 
 
-def _cube(limit, n):
+def _cube(limit: float, n: int) -> Polytope:
     """{x in R^n : |x|_inf <= limit}."""
     return Polytope.box(np.full(n, -limit), np.full(n, limit))
 
 
-def _quadrant(signs):
+def _quadrant(signs: Sequence[int]) -> Polytope:
     """{(x, u) : signs_i x_i >= 0} for x in the plane and one input."""
-    return Polytope([[-signs[0], 0, 0], [0, -signs[1], 0]], np.zeros(2))
+    return Polytope(np.array([[-signs[0], 0, 0], [0, -signs[1], 0]]), np.zeros(2))

@@ -1,83 +1,137 @@
-"""Piecewise-affine systems with bounded disturbances (eqs. SysWithDis, HRep, dinDi), and nonlinear systems."""
+"""Piecewise-affine systems with bounded disturbances: eqs. (1), (2), (13), SysWithDis, HRep, dinDi, [Teichrib2025]."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
-from ..arithmetic.rational import binary, dot, nearest, strict_point
+from ..arithmetic.rational import nearest
 from ..checks import real_array, require_columns, require_kind
 from ..sets.polytope import Polytope
+from ..typing import Array, ArrayLike, IntArray
+from .partition import narrow_gap, uncovered_point
 
 OVERLAP = 1e-7  # radius of the smallest ball that counts as an overlap of regions (relative to the size of X and U)
-OPPOSITE = 1e-6  # rows whose unit normals add up to less than this name the same boundary from both sides
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Mode:
-    """x+ = A x + B u + p + d, d in D, wherever (x, u) lies in the closed region P (eqs. SysWithDis, dinDi).
+    """x+ = A x + B u + p + d, d in D, wherever (x, u) lies in the closed region P: eqs. (1), (13), SysWithDis, dinDi.
 
     Parameters
     ----------
     A : array (n, n)
     B : array (n, m)
     p : array (n,)
+        In units of x.
     region : Polytope
-        P^(i) in R^(n+m), the rows H^(i) (x, u) <= h^(i) of eq. HRep. It need not repeat the limits of
+        P^(i) in R^(n+m), the rows H^(i) (x, u) <= h^(i) of eq. (2), HRep. It need not repeat the limits of
         x and u: only its part in X x U counts.
     disturbance : Polytope or None
-        D^(i) in R^n: a box, a segment, a single point, any polytope. None is the point 0.
+        D^(i) in R^n, in units of x: a box, a segment, a single point, any bounded polytope. None is the point 0.
 
     Raises
     ------
+    TypeError
+        If `region` or `disturbance` is not a Polytope.
     ValueError
         If sizes do not match, a row of the region says 0 <= -1, or the disturbance set is empty or unbounded.
+
+    See Also
+    --------
+    PWASystem : Several modes with X and U.
+
+    Examples
+    --------
+    x+ = x / 2 + u + d for x >= 0, with |d| <= 0.1:
+
+    >>> from mireach import Mode, Polytope
+    >>> mode = Mode([[0.5]], [[1.0]], [0.0], Polytope([[-1.0, 0.0]], [0.0]), Polytope.box([-0.1], [0.1]))
+    >>> mode
+    Mode(1 state, 1 input, 1 row)
+    >>> mode.successor([2.0], [0.25]).tolist()
+    [1.25]
     """
 
-    A: np.ndarray
-    B: np.ndarray
-    p: np.ndarray
+    A: Array
+    B: Array
+    p: Array
     region: Polytope
-    disturbance: Polytope | None = None
+    disturbance: Polytope
 
-    def __post_init__(self):
-        for name, ndim in (("A", 2), ("B", 2), ("p", 1)):
-            object.__setattr__(self, name, real_array(getattr(self, name), name, ndim))
-        n = len(self.A)
-        require_columns(self.A, n, "A", "for A is square")
-        require_columns(self.p, n, "p", "the rows of A")
-        if len(self.B) != n:
-            raise ValueError(f"B has {len(self.B)} rows but A has {n}; both give the next state")
-        if self.disturbance is None:
-            object.__setattr__(self, "disturbance", Polytope.box(np.zeros(n), np.zeros(n)))
-        require_kind(self.region, Polytope, "region")
-        require_kind(self.disturbance, Polytope, "disturbance")
-        impossible = ~self.region.H.any(axis=1) & (self.region.h < 0)
-        if impossible.any():
-            row = int(np.argmax(impossible))
-            raise ValueError(f"row {row + 1} of region says 0 <= {self.region.h[row]:g}, which holds nowhere")
-        if self.region.dimension != n + self.B.shape[1]:
-            raise ValueError(
-                f"region lies in R^{self.region.dimension}, but (x, u) has {n} + {self.B.shape[1]} entries; "
-                "a region of x alone has zero columns for u"
-            )
-        if self.disturbance.dimension != n:
-            raise ValueError(f"disturbance lies in R^{self.disturbance.dimension}, but the state has {n} entries")
-        if self.disturbance.is_empty:
-            raise ValueError("disturbance is an empty set; use None for no disturbance")
-        if not self.disturbance.is_bounded:
-            raise ValueError("disturbance is unbounded; no robustly invariant set can be bounded then")
+    def __init__(
+        self, A: ArrayLike, B: ArrayLike, p: ArrayLike, region: Polytope, disturbance: Polytope | None = None
+    ) -> None:
+        A, B = real_array(A, "A", 2), real_array(B, "B", 2)
+        p = real_array(p, "p", 1)
+        n = len(A)
+        require_columns(A, n, "A", "for A is square")
+        require_columns(p, n, "p", "the rows of A")
+        if len(B) != n:
+            raise ValueError(f"B has {len(B)} rows but A has {n}; both give the next state")
+        if disturbance is None:
+            disturbance = Polytope.box(np.zeros(n), np.zeros(n))
+        _check_region(region, n, B.shape[1])
+        _check_disturbance(disturbance, n)
+        fields = {"A": A, "B": B, "p": p, "region": region, "disturbance": disturbance}
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
 
-    def successor(self, x, u, d=0.0):
-        """A x + B u + p + d, for (n,) or (N, n)."""
-        return x @ self.A.T + u @ self.B.T + self.p + d
+    def __repr__(self) -> str:
+        return f"Mode({_sizes(*self.B.shape)}, {_counted(len(self.region.h), 'row')})"
+
+    def successor(self, x: ArrayLike, u: ArrayLike, d: ArrayLike = 0.0) -> Array:
+        """A x + B u + p + d.
+
+        Parameters
+        ----------
+        x : array (n,) or (N, n)
+        u : array (m,) or (N, m)
+        d : array like x, or 0
+
+        Returns
+        -------
+        array (n,) or (N, n)
+            Whether (x, u) lies in the region is not checked.
+        """
+        return np.asarray(x) @ self.A.T + np.asarray(u) @ self.B.T + self.p + np.asarray(d)
+
+    def to_dict(self) -> dict[str, Any]:
+        """{"A", "B", "p", "region", "disturbance"} as lists of numbers, which JSON reads back to the same floats."""
+        return {
+            "A": self.A.tolist(),
+            "B": self.B.tolist(),
+            "p": self.p.tolist(),
+            "region": self.region.to_dict(),
+            "disturbance": self.disturbance.to_dict(),
+        }
+
+    @staticmethod
+    def from_dict(value: Mapping[str, Any]) -> "Mode":
+        """Inverse of `to_dict`.
+
+        Raises
+        ------
+        ValueError
+            If a key is missing, or the numbers are not those of a mode.
+
+        Examples
+        --------
+        >>> from mireach import Mode, Polytope
+        >>> mode = Mode([[0.1]], [[1.0]], [0.0], Polytope([[-1.0, 0.0]], [0.0]))
+        >>> Mode.from_dict(mode.to_dict()).A.tolist()
+        [[0.1]]
+        """
+        A, B, p, region, disturbance = _entries(value, ("A", "B", "p", "region", "disturbance"), "a mode")
+        return Mode(A, B, p, Polytope.from_dict(region), Polytope.from_dict(disturbance))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class PWASystem:
-    """The modes of a piecewise-affine system and its constraints X and U.
+    """The modes of a piecewise-affine system and its constraints X and U, eqs. (1), (2), SysWithDis, HRep.
 
     Parameters
     ----------
@@ -92,6 +146,8 @@ class PWASystem:
 
     Raises
     ------
+    TypeError
+        If an argument has the wrong type.
     ValueError
         If sizes do not match, X or U is empty or unbounded, or the regions leave a gap in X x U or
         overlap; the message gives a point.
@@ -100,67 +156,95 @@ class PWASystem:
     -----
     UserWarning
         If the region of a mode does not meet X x U.
+
+    See Also
+    --------
+    ClosedLoop : The system under a network.
+    fit_pwa : Modes that approximate a nonlinear system.
+
+    Examples
+    --------
+    x+ = |x| / 2 + u:
+
+    >>> from mireach import Mode, Polytope, PWASystem
+    >>> left = Mode([[-0.5]], [[1.0]], [0.0], Polytope([[1.0, 0.0]], [0.0]))
+    >>> right = Mode([[0.5]], [[1.0]], [0.0], Polytope([[-1.0, 0.0]], [0.0]))
+    >>> PWASystem([left, right], Polytope.box([-4], [4]), Polytope.box([-1], [1]))
+    PWASystem(2 modes, 1 state, 1 input)
     """
 
-    modes: tuple
+    modes: tuple[Mode, ...]
     state_set: Polytope
     input_set: Polytope
 
-    def __post_init__(self):
-        require_kind(self.modes, (list, tuple), "modes")
-        for number, mode in enumerate(self.modes, start=1):
+    def __init__(self, modes: Sequence[Mode], state_set: Polytope, input_set: Polytope) -> None:
+        require_kind(modes, (list, tuple), "modes")
+        for number, mode in enumerate(modes, start=1):
             require_kind(mode, Mode, f"mode {number}")
-        object.__setattr__(self, "modes", tuple(self.modes))
-        if not self.modes:
+        if not modes:
             raise ValueError("modes is empty; a system needs at least one mode")
-        n, m = self.modes[0].B.shape
-        for number, mode in enumerate(self.modes, start=1):
+        n, m = modes[0].B.shape
+        for number, mode in enumerate(modes, start=1):
             if mode.B.shape != (n, m):
                 raise ValueError(f"mode {number} has B of shape {mode.B.shape}, but mode 1 has {(n, m)}")
-        for name, value, size in (("state_set", self.state_set, n), ("input_set", self.input_set, m)):
-            require_kind(value, Polytope, name)
-            if value.dimension != size:
-                raise ValueError(f"{name} lies in R^{value.dimension}, but the modes need R^{size}")
-            if value.is_empty:
-                raise ValueError(f"{name} is empty; the system has nowhere to be")
-            if not value.is_bounded:
-                raise ValueError(f"{name} is unbounded; cells and big-M need a bounded set, such as a large box")
-        _check_partition(tuple(mode.region for mode in self.modes), self.state_set, self.input_set)
+        _check_constraint(state_set, "state_set", n)
+        _check_constraint(input_set, "input_set", m)
+        object.__setattr__(self, "modes", tuple(modes))
+        object.__setattr__(self, "state_set", state_set)
+        object.__setattr__(self, "input_set", input_set)
+        _check_partition(tuple(mode.region for mode in modes), state_set, input_set)
+
+    def __repr__(self) -> str:
+        return f"PWASystem({_counted(len(self.modes), 'mode')}, {_sizes(self.state_size, self.input_size)})"
 
     @property
-    def state_size(self):
+    def state_size(self) -> int:
         """n."""
         return self.modes[0].B.shape[0]
 
     @property
-    def input_size(self):
+    def input_size(self) -> int:
         """m."""
         return self.modes[0].B.shape[1]
 
-    def state_regions(self):
-        """For each mode the part of X that the rows of its region leave which do not involve u: list of Polytope."""
+    def state_regions(self) -> list[Polytope]:
+        """For each mode the part of X that the rows of its region leave which do not involve u."""
         n, X = self.state_size, self.state_set
-        found = []
+        parts = []
         for mode in self.modes:
             of_x = (mode.region.H[:, n:] == 0).all(axis=1)
-            found.append(Polytope(mode.region.H[of_x, :n], mode.region.h[of_x]) & X if of_x.any() else X)
-        return found
+            parts.append(Polytope(mode.region.H[of_x, :n], mode.region.h[of_x]) & X if of_x.any() else X)
+        return parts
 
-    def with_disturbance(self, disturbance):
+    def with_disturbance(self, disturbance: Polytope | Sequence[Polytope]) -> "PWASystem":
         """The same system with other disturbance sets.
 
         Parameters
         ----------
         disturbance : Polytope or sequence of Polytope
-            One for all modes, or one a mode.
+            One for all modes, or one per mode, in units of x.
+
+        Raises
+        ------
+        TypeError
+            If it is neither.
+        ValueError
+            If the number of sets is not that of the modes, or a set does not fit.
+
+        Examples
+        --------
+        >>> from mireach import Polytope, case_study
+        >>> case_study("pwa").system.with_disturbance(Polytope.box([-0.1, 0], [0.1, 0]))
+        PWASystem(4 modes, 2 states, 1 input)
         """
         require_kind(disturbance, (Polytope, list, tuple), "disturbance")
         sets = [disturbance] * len(self.modes) if isinstance(disturbance, Polytope) else list(disturbance)
         if len(sets) != len(self.modes):
-            raise ValueError(f"got {len(sets)} disturbance sets for {len(self.modes)} modes; give one, or one a mode")
-        return replace(self, modes=[replace(mode, disturbance=D) for mode, D in zip(self.modes, sets)])
+            raise ValueError(f"got {len(sets)} disturbance sets for {len(self.modes)} modes; give one, or one per mode")
+        modes = tuple(replace(mode, disturbance=D) for mode, D in zip(self.modes, sets))
+        return replace(self, modes=modes)
 
-    def violation(self, x, u):
+    def violation(self, x: Array, u: Array) -> Array:
         """How far (x, u) is from each mode's region: max over rows of H (x, u) - h, at least 0.
 
         Parameters
@@ -171,13 +255,13 @@ class PWASystem:
         Returns
         -------
         array (N, s)
-            0 where the closed region contains the point.
+            0 where the closed region contains the point; in units of the rows.
         """
         H, h, starts = self._rows
         excess = np.concatenate([x, u], axis=-1) @ H.T - h
         return np.maximum.reduceat(excess, starts, axis=-1)
 
-    def successor(self, x, u, modes):
+    def successor(self, x: Array, u: Array, modes: IntArray) -> Array:
         """A x + B u + p of the given modes, without disturbance.
 
         Parameters
@@ -195,7 +279,7 @@ class PWASystem:
         return np.einsum("tij,tj->ti", A[modes], x) + np.einsum("tij,tj->ti", B[modes], u) + p[modes]
 
     @cached_property
-    def _rows(self):
+    def _rows(self) -> tuple[Array, Array, IntArray]:
         """The rows of all regions, each region begun by 0 (x, u) <= 0: H, h, and where each of them begins."""
         regions = [mode.region for mode in self.modes]
         H = [np.vstack([np.zeros(region.dimension), region.H]) for region in regions]
@@ -203,76 +287,112 @@ class PWASystem:
         return np.vstack(H), np.concatenate(h), np.cumsum([0, *map(len, h[:-1])])
 
     @cached_property
-    def maps(self):
+    def maps(self) -> tuple[Array, Array, Array]:
         """A (s, n, n), B (s, n, m) and p (s, n) of all modes."""
-        return tuple(np.array([getattr(mode, name) for mode in self.modes]) for name in "ABp")
+        A, B, p = (np.array([getattr(mode, name) for mode in self.modes]) for name in "ABp")
+        return A, B, p
 
+    def to_dict(self) -> dict[str, Any]:
+        """{"modes", "state_set", "input_set"} as lists of numbers, which JSON reads back to the same floats."""
+        return {
+            "modes": [mode.to_dict() for mode in self.modes],
+            "state_set": self.state_set.to_dict(),
+            "input_set": self.input_set.to_dict(),
+        }
 
-@dataclass(frozen=True, eq=False)
-class NonlinearSystem:
-    """x+ = f(x, u) (eq. f) with constraints x in X and u in U.
+    @staticmethod
+    def from_dict(value: Mapping[str, Any]) -> "PWASystem":
+        """Inverse of `to_dict`.
 
-    Parameters
-    ----------
-    f : callable
-        f(x, u) -> n numbers; x and u are indexable. Arithmetic, whole powers and numpy's exp, log,
-        sin, cos, tanh and sqrt may be used, so that f can be evaluated on numbers, arrays and balls.
-    state_set : Polytope
-    input_set : Polytope
-    """
+        Raises
+        ------
+        ValueError
+            If a key is missing, or the numbers are not those of a system.
 
-    f: Callable
-    state_set: Polytope
-    input_set: Polytope
-
-    def __post_init__(self):
-        require_kind(self.f, Callable, "f")
-        require_kind(self.state_set, Polytope, "state_set")
-        require_kind(self.input_set, Polytope, "input_set")
-
-    def __call__(self, x, u):
-        """f at (n,) and (m,), or at (N, n) and (N, m)."""
-        x, u = np.asarray(x, float), np.asarray(u, float)
-        require_columns(x, self.state_set.dimension, "x", "the state's size")
-        require_columns(u, self.input_set.dimension, "u", "the input's size")
-        values = self.f(np.moveaxis(x, -1, 0), np.moveaxis(u, -1, 0))
-        return np.stack(np.broadcast_arrays(*values), axis=-1)
-
-    def step(self, controller, x):
-        """f(x, controller(x)) for (n,) or (N, n)."""
-        return self(x, controller(x))
-
-    def simulate(self, controller, x0, steps):
-        """Trajectories of x+ = f(x, controller(x)).
-
-        Parameters
-        ----------
-        controller : callable
-            (N, n) -> (N, m), such as a MaxoutNetwork.
-        x0 : array (n,) or (N, n)
-        steps : int
-
-        Returns
-        -------
-        array (steps + 1, n) or (N, steps + 1, n)
-            Nothing stops a trajectory at the limits of X.
+        Examples
+        --------
+        >>> import json
+        >>> from mireach import PWASystem, case_study
+        >>> PWASystem.from_dict(json.loads(json.dumps(case_study("pwa").system.to_dict())))
+        PWASystem(4 modes, 2 states, 1 input)
         """
-        path = [np.asarray(x0, float)]
-        for _ in range(steps):
-            path.append(self.step(controller, path[-1]))
-        return np.stack(path, axis=-2)
+        modes, state_set, input_set = _entries(value, ("modes", "state_set", "input_set"), "a system")
+        if not isinstance(modes, list):
+            raise ValueError(f"the modes of a system must be a list; got {modes!r:.80}")
+        return PWASystem(
+            [Mode.from_dict(mode) for mode in modes], Polytope.from_dict(state_set), Polytope.from_dict(input_set)
+        )
+
+
+# -- words ----------------------------------------------------------------------------------------
+
+
+def _counted(number: int, noun: str) -> str:
+    """A number and its noun: "1 state", "2 states"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _sizes(n: int, m: int) -> str:
+    """The sizes of x and u."""
+    return f"{_counted(n, 'state')}, {_counted(m, 'input')}"
+
+
+# -- checks ---------------------------------------------------------------------------------------
+
+
+def _entries(value: Any, keys: tuple[str, ...], what: str) -> list[Any]:
+    """The entries of a dict, in the order of `keys`; ValueError if it is no dict or lacks one."""
+    if not isinstance(value, Mapping) or not set(keys) <= value.keys():
+        raise ValueError(f"{what} needs the keys {', '.join(keys)}; got {value!r:.80}")
+    return [value[key] for key in keys]
+
+
+def _check_region(region: Polytope, n: int, m: int) -> None:
+    """Raise an error unless `region` is a polytope in (x, u) whose rows of zeros say nothing."""
+    require_kind(region, Polytope, "region")
+    impossible = ~region.H.any(axis=1) & (region.h < 0)
+    if impossible.any():
+        row = int(np.argmax(impossible))
+        raise ValueError(f"row {row + 1} of region says 0 <= {region.h[row]:g}, which holds nowhere")
+    if region.dimension != n + m:
+        raise ValueError(
+            f"region lies in R^{region.dimension}, but (x, u) has {n} + {m} entries; "
+            "a region of x alone has zero columns for u"
+        )
+
+
+def _check_disturbance(disturbance: Polytope, n: int) -> None:
+    """Raise an error unless `disturbance` is a bounded polytope in R^n that is not empty."""
+    require_kind(disturbance, Polytope, "disturbance")
+    if disturbance.dimension != n:
+        raise ValueError(f"disturbance lies in R^{disturbance.dimension}, but the state has {n} entries")
+    if disturbance.is_empty:
+        raise ValueError("disturbance is an empty set; use None for no disturbance")
+    if not disturbance.is_bounded:
+        raise ValueError("disturbance is unbounded; no robustly invariant set can be bounded then")
+
+
+def _check_constraint(value: Polytope, name: str, size: int) -> None:
+    """Raise an error unless `value` is a bounded polytope in R^size that is not empty."""
+    require_kind(value, Polytope, name)
+    if value.dimension != size:
+        raise ValueError(f"{name} lies in R^{value.dimension}, but the modes need R^{size}")
+    if value.is_empty:
+        raise ValueError(f"{name} is empty; the system has nowhere to be")
+    if not value.is_bounded:
+        raise ValueError(f"{name} is unbounded; cells and big-M need a bounded set, such as a large box")
 
 
 @lru_cache(maxsize=64)
-def _check_partition(regions, state_set, input_set):
-    """Raise ValueError unless the regions cover X x U without overlap (the text after eq. HRep)."""
+def _check_partition(regions: tuple[Polytope, ...], state_set: Polytope, input_set: Polytope) -> None:
+    """Raise ValueError unless the regions cover X x U without overlap (the text after eq. (2), HRep)."""
     scale = np.concatenate([state_set.reach, input_set.reach])
     domain, n = state_set.product(input_set).in_units(scale), state_set.dimension
     scaled = [region.in_units(scale) for region in regions]
     parts = [domain & region for region in scaled]
     for number, part in enumerate(parts, start=1):
         if part.is_empty:
-            warnings.warn(f"the region of mode {number} does not meet X x U; the mode is never used", stacklevel=4)
+            warnings.warn(f"the region of mode {number} does not meet X x U; the mode is never used", stacklevel=3)
     boxes = [None if part.is_empty else part.bounding_box() for part in parts]
     for j, second in enumerate(boxes):
         for i, first in enumerate(boxes[:j]):
@@ -282,117 +402,21 @@ def _check_partition(regions, state_set, input_set):
                 or (np.minimum(first[1], second[1]) - np.maximum(first[0], second[0])).min() <= OVERLAP
             ):
                 continue
-            centre, radius = (parts[i] & parts[j]).chebyshev()
+            centre, radius = (parts[i] & parts[j]).chebyshev_centre()
             if radius > OVERLAP:
                 raise ValueError(
                     f"the regions of modes {i + 1} and {j + 1} overlap around {_point(centre * scale, n)} "
                     f"(a ball of radius {radius:.3g} of the size of X x U); regions may share boundaries only"
                 )
-    gap = _Rows().cut(domain, scaled)
+    gap = uncovered_point(domain, scaled)
     if gap is not None:
         point = np.array([nearest(entry) for entry in gap])
         raise ValueError(
             f"no region contains {_point(point * scale, n)}, which lies in X x U; the regions must cover all of it"
-            f"{_between(gap, scaled)}"
+            f"{narrow_gap(gap, scaled)}"
         )
 
 
-class _Rows:
-    """Half-planes a z <= b, some of them a z < b, in rational numbers; rows of one direction are kept once.
-
-    Attributes
-    ----------
-    limits : dict
-        Direction, scaled to a first entry of 1 or -1, to (offset, whether it is strict).
-    point : tuple of fmpq or None
-        A point of all of them, where one is known.
-    """
-
-    def __init__(self, limits=None, point=None):
-        self.limits, self.point = limits or {}, point
-
-    def cut(self, domain, regions):
-        """A point of the domain that no region contains, or None."""
-        inside = self
-        for a, b in zip(binary(domain.H), binary(domain.h)):
-            inside = inside and inside.with_row(a, b)
-        return inside and inside.without([list(zip(binary(P.H), binary(P.h))) for P in regions])
-
-    def with_row(self, a, b, strict=False):
-        """These rows and a z <= b, or a z < b; None where another row contradicts it."""
-        size = abs(next((entry for entry in a if entry), 1))
-        if not any(a):
-            return self if b > 0 or (b == 0 and not strict) else None
-        key, limit = tuple(entry / size for entry in a), (b / size, not strict)
-        limits = {**self.limits, key: min(limit, self.limits.get(key, limit))}
-        offset, closed = limits[key]
-        opposite = limits.get(tuple(-entry for entry in key))
-        if opposite is not None and (offset + opposite[0], closed and opposite[1]) <= (0, False):
-            return None
-        known = self.point
-        if known is not None and not (dot(a, known) < b or (dot(a, known) == b and not strict)):
-            known = None
-        return _Rows(limits, known)
-
-    def located(self):
-        """These rows with a point, or None if they have none in common."""
-        if self.point is None:
-            rows = [[], []], [[], []]
-            for a, (b, closed) in self.limits.items():
-                H, h = rows[0] if closed else rows[1]
-                H.append(a)
-                h.append(b)
-            self.point = strict_point(*rows[0], *rows[1])
-        return None if self.point is None else self
-
-    def without(self, regions):
-        """A point of these rows that lies in no region, or None: beyond a region's first row, or its second, ..."""
-        if self.located() is None:
-            return None
-        for number, region in enumerate(regions):
-            inside = self
-            for a, b in region:
-                inside = inside and inside.with_row(a, b)
-            if inside is None or inside.located() is None:
-                continue
-            inside = self
-            for a, b in region:
-                beyond = inside.with_row(tuple(-entry for entry in a), -b, strict=True)
-                gap = None if beyond is None else beyond.without(regions[number + 1 :])
-                if gap is not None:
-                    return gap
-                inside = inside.with_row(a, b)
-                if inside is None:
-                    return None
-            return None
-        return self.point
-
-
-def _between(point, regions):
-    """Which two rows leave a point between them that should name the same boundary, as the end of a message."""
-    outside = []
-    for number, region in enumerate(regions, start=1):
-        for row, (a, b) in enumerate(zip(binary(region.H), binary(region.h))):
-            excess = dot(a, point) - b
-            if excess > 0:
-                length = np.linalg.norm(region.H[row])
-                outside.append((number, row + 1, region.H[row] / length, nearest(excess) / length))
-    pairs = [
-        (one[3] + other[3], one, other)
-        for i, one in enumerate(outside)
-        for other in outside[:i]
-        if one[0] != other[0] and np.abs(one[2] + other[2]).max() <= OPPOSITE
-    ]
-    if not pairs:
-        return ""
-    width, one, other = min(pairs, key=lambda pair: pair[0])
-    return (
-        f". It lies between row {other[1]} of mode {other[0]} and row {one[1]} of mode {one[0]}, in a gap of width "
-        f"{width:.2g} of the size of X x U; if they are to name the same boundary, write it with the same numbers, as "
-        "a x <= b and -a x <= -b"
-    )
-
-
-def _point(point, n):
+def _point(point: Array, n: int) -> str:
     """x and u of a point of R^(n+m), for messages."""
     return f"x = {point[:n].tolist()}, u = {point[n:].tolist()}"
