@@ -38,7 +38,7 @@ TESTS = {  # the pytest arguments that must catch the faults of a room
     "milp": "tests/engines/test_milp.py tests/engines/test_bounds.py -k 'boxes or cutoff'",
     "approximation": "tests/approximation/test_fit.py",
     "checker": "tests/certificate/test_checker.py -k 'brute_force or theorem_1 or error'",
-    "planar": "tests/analysis/test_planar.py -k 'slack or hair'",
+    "maximal_set": "tests/analysis/test_maximal_set.py -k 'slack or hair'",
 }
 
 
@@ -375,15 +375,15 @@ FAULTS = (
         "        if bound <= Fraction(1, 10**9):\n            continue",
     ),
     Fault(
-        "planar",
-        "analysis/planar.py",
+        "maximal_set",
+        "analysis/maximal_set.py",
         "the slack widens X instead of narrowing it",
         "limits = X.h - D.support(X.H) - slack * np.abs(X.H).sum(axis=1)",
         "limits = X.h - D.support(X.H) + slack * np.abs(X.H).sum(axis=1)",
     ),
     Fault(
-        "planar",
-        "analysis/planar.py",
+        "maximal_set",
+        "analysis/maximal_set.py",
         "the slack narrows what is lost",
         "b += slack * np.abs(A).sum(axis=2)",
         "b -= slack * np.abs(A).sum(axis=2)",

@@ -1,6 +1,8 @@
 """The public names: what each module provides. They are imported on first use."""
 
 from . import approximation, certificate, errors
+from .analysis.disturbance import largest_disturbance
+from .analysis.exact_reach import attractor, exact_reach
 from .analysis.invariance import (
     check_rpi,
     contraction,
@@ -9,7 +11,7 @@ from .analysis.invariance import (
     terminal_set,
     ultimately_bounded,
 )
-from .analysis.planar import attractor, exact_reach, largest_disturbance, maximal_safe_set, prove_rpi
+from .analysis.maximal_set import maximal_safe_set, prove_rpi
 from .analysis.reach import outer_reach, outer_step, support
 from .approximation.fit import fit_pwa, prove_error
 from .errors import CorruptFileError, MireachError, MissingExtraError, SolverError, SolverStopped

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from ..analysis.invariance import SafeSet, TerminalSet, safe_set, terminal_set
-from ..analysis.planar import maximal_safe_set
+from ..analysis.maximal_set import maximal_safe_set
 from ..checks import require_kind
 from ..sets.polytope import Polytope, directions
 from ..studies.case_studies import CaseStudy, case_study, double_integrator_fit

@@ -21,7 +21,7 @@ from ..analysis.invariance import (
     terminal_set,
     ultimately_bounded,
 )
-from ..analysis.planar import MaximalSafeSet, maximal_safe_set
+from ..analysis.maximal_set import MaximalSafeSet, maximal_safe_set
 from ..analysis.reach import outer_reach, support
 from ..certificate.writer import Certificate, make
 from ..files import write_json, write_whole

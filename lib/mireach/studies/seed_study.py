@@ -14,7 +14,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from ..analysis.invariance import safe_set, terminal_set
-from ..analysis.planar import maximal_safe_set
+from ..analysis.maximal_set import maximal_safe_set
 from ..certificate.writer import write
 from ..checks import whole_number
 from ..engines.cells import cells
