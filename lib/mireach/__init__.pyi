@@ -15,8 +15,9 @@ from .analysis.maximal_set import maximal_safe_set, prove_rpi
 from .analysis.reach import outer_reach, outer_step, support
 from .approximation.fit import fit_pwa, prove_error
 from .errors import CorruptFileError, MireachError, MissingExtraError, SolverError, SolverStopped
-from .sets.polytope import Polytope, box_directions, directions
+from .sets.polytope import Polytope
 from .sets.region import Region
+from .sets.templates import box_directions, directions
 from .studies import case_studies
 from .studies.case_studies import case_study
 from .systems.loop import ClosedLoop

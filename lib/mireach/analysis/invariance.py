@@ -15,7 +15,9 @@ from ..engines.base import SOLVER, Witness
 from ..engines.inputs import violating_state
 from ..engines.steps import Escape, attained, farthest_step
 from ..engines.units import own_units
-from ..sets.polytope import ROUNDING, Polytope, box_directions, directions
+from ..sets.convex_set import ROUNDING
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions, directions
 from ..systems.loop import ClosedLoop
 from ..systems.pwa import NonlinearSystem
 from .reach import default_engine, support

@@ -16,7 +16,8 @@ from scipy.optimize import linprog
 from ..arithmetic.balls import PRECISION, ball, evaluate, flint, interval, pairs, precision, upper_float
 from ..checks import real_array, require_columns
 from ..errors import SolverError
-from ..sets.polytope import Polytope, box_directions
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions
 from ..solvers.linear_program import LinearProgram
 from ..systems.pwa import Mode, NonlinearSystem, PWASystem
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from ..analysis.invariance import check_rpi, safe_set
 from ..analysis.reach import support
-from ..sets.polytope import Polytope, box_directions, directions
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions, directions
 from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
 from ..systems.network import Layer, MaxoutNetwork

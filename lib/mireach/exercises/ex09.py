@@ -4,7 +4,8 @@ import numpy as np
 
 from ..analysis.invariance import safe_set, terminal_set
 from ..analysis.reach import support
-from ..sets.polytope import Polytope, directions
+from ..sets.polytope import Polytope
+from ..sets.templates import directions
 from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
 from .common import Wrong, require, require_array, require_filled

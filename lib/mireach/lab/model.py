@@ -14,7 +14,8 @@ import numpy as np
 from ..analysis.invariance import SafeSet, TerminalSet, safe_set, terminal_set
 from ..analysis.maximal_set import maximal_safe_set
 from ..checks import require_kind
-from ..sets.polytope import Polytope, directions
+from ..sets.polytope import Polytope
+from ..sets.templates import directions
 from ..studies.case_studies import CaseStudy, case_study, double_integrator_fit
 from ..studies.seed_study import load_study
 from ..systems.loop import ClosedLoop
