@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import shapely
@@ -14,9 +13,10 @@ from shapely.errors import GEOSException
 from ..checks import require_kind, whole_number
 from ..engines.cells import TOUCH
 from ..errors import RegionError
+from ..sets.geos import Shape, Shapes, hulls, overlay
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
-from ..sets.region import Region, hulls, overlay
+from ..sets.region import Region
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike, IntArray
 from .invariance import SafeSet
@@ -263,7 +263,7 @@ def _parts(plane: PlanarLoop, chosen: IntArray, pieces: Polygons) -> tuple[Polyg
     return part, chosen[which]
 
 
-def _closed(polygons: Polygons, widening: float, flat: bool = False) -> Any:
+def _closed(polygons: Polygons, widening: float, flat: bool = False) -> Shape:
     """A shapely geometry that holds polygons, each widened by a box, and lies within twice that widening of them.
 
     Widened polygons overlap where they share an edge, so that no cracks are left; corners that lie closer than `FEWER`
@@ -286,7 +286,7 @@ def _closed(polygons: Polygons, widening: float, flat: bool = False) -> Any:
     return found
 
 
-def _union_of_wide(wide: Array, shapes: Array, widening: float) -> Any:
+def _union_of_wide(wide: Shapes, shapes: Shapes, widening: float) -> Shape:
     """The union of widened polygons with fewer corners, which holds `shapes`, those that are not widened."""
     failure: object = "corners lie too close together"
     for grid in GRIDS * widening:

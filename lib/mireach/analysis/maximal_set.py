@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import shapely
@@ -21,9 +20,10 @@ from ..engines import exact
 from ..engines.base import EXACT
 from ..engines.steps import Escape
 from ..errors import RegionError
+from ..sets.geos import Shape, hulls, overlay
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
-from ..sets.region import Region, hulls, overlay
+from ..sets.region import Region
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike, IntArray
 from .plane import PlanarLoop, normals, square
@@ -456,7 +456,7 @@ def _lost_into(plane: PlanarLoop, chosen: IntArray, D: Polytope, targets: Array,
     return part
 
 
-def _union(lost: list[Polygons], S: Region, slack: float) -> Any:
+def _union(lost: list[Polygons], S: Region, slack: float) -> Shape:
     """The union of those lost polygons that meet S; flat ones count only for a set within the maximal one."""
     polygons = Polygons.join(lost)
     if slack <= 0:
@@ -484,13 +484,13 @@ def _inset(X: Polytope, slack: float) -> Polytope:
     return Polytope(X.H, X.h - np.where(kept, 0.0, slack) * np.linalg.norm(X.H, axis=1))
 
 
-def _with_area(shape: Any) -> Any:
+def _with_area(shape: Shape) -> Shape:
     """The part of a shapely geometry that has an area."""
     parts = shapely.get_parts(shapely.get_parts(shape))
     return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
 
 
-def _within(shape: Any, lower: Array, upper: Array) -> Any:
+def _within(shape: Shape, lower: Array, upper: Array) -> Shape:
     """A shapely geometry in the box that it lies in up to rounding: the grid of GEOS may move corners out of it."""
     points = shapely.get_coordinates(shape)
     if (points >= lower).all() and (points <= upper).all():

@@ -18,9 +18,10 @@ from ..checks import positive_number, real_array, require_kind
 from ..engines.cells import LoopCells, dynamics
 from ..engines.inputs import require_inputs
 from ..engines.units import Units, own_units
+from ..sets.geos import Shapes, hulls
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
-from ..sets.region import Region, hulls
+from ..sets.region import Region
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike
 
@@ -76,7 +77,7 @@ class PlanarLoop:
         return self.dynamics.cells.polygons
 
     @cached_property
-    def shapes(self) -> Array:
+    def shapes(self) -> Shapes:
         """The cells as shapely geometries: array (N,)."""
         return hulls(self.polygons)
 
