@@ -194,6 +194,30 @@ def test_samples_lie_in_the_set(P):
         assert np.ptp(x, axis=0).min() > 0.5
 
 
+@pytest.mark.parametrize("kind", ["flat", "needle", "point", "many rows"])
+@pytest.mark.parametrize("n", [1, 3, 6])
+def test_samples_of_sets_that_do_not_fill_their_box(kind, n):
+    rng, a = np.random.default_rng(n), np.arange(1.0, n + 1)
+    box = Polytope.box(-np.ones(n), np.ones(n))
+    if kind == "flat":
+        P = box & Polytope([a, -a], [0, 0])
+    elif kind == "needle":
+        P = box & Polytope([a, -a], [1e-9, 0])
+    elif kind == "point":
+        P = Polytope.box(a, a)
+    else:  # whose vertices cannot be enumerated
+        H = rng.normal(size=(5 * n + 30, n))
+        P = Polytope(np.vstack([H, [a, -a]]), np.concatenate([np.linalg.norm(H, axis=1), [0, 0]])) & box
+        if n == 6:
+            with pytest.raises(ValueError, match="too many"):
+                P.vertices()
+    x = P.sample(3, 200)
+    assert x.shape == (200, n) and P.contains(x, tol=1e-12).all()
+    assert (x == P.sample(np.random.default_rng(3), 200)).all()
+    if n > 1 and kind != "point":
+        assert np.linalg.matrix_rank(x - x[0], tol=1e-6) == n - 1
+
+
 def test_product_holds_pairs():
     both = Polytope.box([0], [1]).product(Polytope.box([2, 2], [3, 3]))
     assert both.contains([[0.5, 2.5, 3.0]]).all() and not both.contains([0.5, 1.9, 2.5])
@@ -569,6 +593,48 @@ def test_unbounded_sets_can_be_added_mapped_and_projected(unit):
     assert turned.contains(x).tolist() == [True, True, True, False, False]
 
 
+@pytest.mark.parametrize("seed", range(30))
+def test_images_of_unbounded_sets_hold_the_images_of_their_points(seed):
+    """Rows of the image are rounded: opposite ones must not exclude each other, as those of a half-line could."""
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(1, 4, 2)
+    rays = rng.integers(-2, 3, (rng.integers(1, n + 1), n)).astype(float)  # a cone, a half-line, or a whole subspace
+    P = Polytope(
+        np.vstack([rays, -rays[:-1]]), np.concatenate([rng.integers(1, 4, len(rays)), np.zeros(len(rays) - 1)])
+    )
+    M, start = rng.normal(size=(m, n)), np.array([float(fraction(entry)) for entry in P.point])
+    image = P.map(M)
+    ways = rng.normal(size=(40, n)) * 10
+    x = start + ways[(ways @ P.H.T <= 1e-12).all(axis=1)]
+    assert not image.is_empty and not P.is_bounded
+    assert image.contains(np.vstack([start, x]) @ M.T, tol=1e-11).all()
+
+
+def test_half_lines_have_images():
+    half_line = Polytope([[-1.0]], [-1.0])  # x >= 1
+    for M in ([[1.3841972532088773], [-1.1056865405274372], [-1.0367950361177776]], [[0.1], [0.7]]):
+        image = half_line.map(M)
+        assert not image.is_empty and image.contains(np.outer([1, 2, 9], M), tol=1e-12).all()
+        assert not image.contains(np.outer([0.99, 0], M), tol=1e-12).any()
+
+
+def test_offsets_beyond_the_range_of_floats():
+    large = Polytope.box([0, 0], [1.5e308, 1])
+    both = large.sum(large)  # no float is an offset along (1, 0)
+    assert both.contains([[1.7e308, 2], [0, 0]]).all() and not both.contains([[0, 2.1], [-0.1, 0]]).any()
+    assert Polytope.box([0, 0], [1, 1]).erode(large).is_empty
+    assert Polytope([[1.0], [-1.0]], [-1e308, 1.5e308]).erode(Polytope.box([1e308], [1.2e308])).is_empty
+
+
+@pytest.mark.parametrize("powers", [(-600, 500), (600, -500), (0, 900), (0, -1000)])
+def test_images_in_extreme_units(powers):
+    rows, gain = np.ldexp(1.0, powers)
+    rng = np.random.default_rng(0)
+    P, M = random_set(rng, 2, "fat"), rng.normal(size=(2, 2))
+    image, same = Polytope(P.H * rows, P.h * rows).map(M * gain), P.map(M)
+    np.testing.assert_allclose(image.support(directions(7)) / gain, same.support(directions(7)), rtol=1e-12)
+
+
 def test_empty_sets_stay_empty():
     square = Polytope.box([0, 0], [1, 1])
     for P in empty_sets:
@@ -652,6 +718,7 @@ def test_directions_are_unit_rows_with_exact_axes():
         (lambda: Polytope([[1.0]], [0]).sample(np.random.default_rng(0), 3), ["unbounded"]),
         (lambda: Polytope.from_points(np.zeros((0, 2))), ["points is empty"]),
         (lambda: Polytope.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]), ["no volume", "R^3"]),
+        (lambda: Polytope.box([0], [1]).sample(None, 3), ["rng", "Generator", "NoneType"]),
         (lambda: directions(2), ["at least 3", "2"]),
         (lambda: Polytope.box([0], [1]).sum([1]), ["Q must be", "Polytope", "list"]),
         (lambda: Polytope.box([0], [1]).sum(Polytope.box([0, 0], [1, 1])), ["R^1", "R^2", "Minkowski"]),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .polytope import Polytope
 
 TURN = 1e-12  # points are no corners of a hull where its boundary turns by a smaller sine
+MOST = 2**900  # rows with a larger entry, or with none above its inverse, are scaled before they are rounded
 WIDE = np.pi - 1e-2  # between the normals of two neighbouring sides: they meet in a needle's tip
 
 
@@ -86,17 +87,19 @@ def linear_image(P: Polytope, M: Array, t: Array) -> Rows:
         value: Any = P.exact_maximum([rational.dot(v, column) for column in columns]).value
         return value if isinstance(value, float) else value + rational.dot(v, shift)
 
-    exact = image(*P.exact, rows)
-    found = np.array([[nearest(entry) for entry in v] for v, _ in exact]).reshape(-1, len(M))
+    exact = [_in_range(v, b) for v, b in image(*P.exact, rows)]
+    found = np.array([[nearest(entry) for entry in v] for v, _ in exact]).reshape(-1, len(M)) + 0.0
     values = [highest(binary(v)) for v in found]
     if P.is_bounded:
         return _within_box(_rows_with(found, values), highest)
     limits = [b + rational.dot(v, shift) for v, b in exact]
-    return _rows_with(found, [limit if value == np.inf else value for limit, value in zip(limits, values)])
+    return _image_of_unbounded(found, values, limits)
 
 
 def linear_preimage(P: Polytope, M: Array, t: Array) -> Rows:
     """{x : M x + t in P}, rounded to nearest: see `Polytope.preimage`."""
+    if P.is_empty:
+        return empty(M.shape[1])
     H, h = P.exact
     columns, shift = [*zip(*binary(M))], binary(t)
     rows = [[nearest(rational.dot(a, column)) for column in columns] for a in H]
@@ -140,6 +143,27 @@ def _rows_with(rows: Array, values: Sequence[Rational | float]) -> Rows:
     if not kept:
         return Rows(np.zeros((1, rows.shape[1])), np.array([1.0]))  # the whole space
     return Rows(np.array([row for row, _ in kept]), np.array([offset for _, offset in kept]))
+
+
+def _in_range(v: tuple[Rational, ...], b: Rational) -> tuple[tuple[Rational, ...], Rational]:
+    """A row v y <= b, divided by the largest entry of v where floats are too coarse there."""
+    top = max(abs(entry) for entry in v)
+    if not top or (top < MOST and top * MOST > 1):
+        return v, b
+    return tuple(entry / top for entry in v), b / top
+
+
+def _image_of_unbounded(rows: Array, values: list[Rational], limits: list[Rational]) -> Rows:
+    """{y : rows y <= values}, with the offsets before rounding (`limits`) along rounded rows without a finite maximum.
+
+    Of two opposite rows both get them, or none does: otherwise the two might exclude each other by rounding. If the
+    rows exclude each other even so, those without a finite maximum are left out.
+    """
+    unlimited = {row.tobytes() for row, value in zip(rows, values) if value == np.inf}
+    opposite = [(-row + 0.0).tobytes() in unlimited for row in rows]
+    offsets = [limit if value == np.inf or other else value for value, limit, other in zip(values, limits, opposite)]
+    found = _rows_with(rows, offsets)
+    return _rows_with(rows, values) if ConvexSet(*found).is_empty else found
 
 
 def _hull(points: list[tuple[Rational, ...]]) -> Rows:

@@ -532,7 +532,8 @@ class Polytope(ConvexSet):
         of the hull of the images of the vertices or, if P is unbounded, what Fourier-Motzkin elimination leaves (slow
         for many rows). All are computed over the rationals and rounded to nearest. The offset of a row v is
         h_P(M'v) + v t without rounding, then rounded up. Where v had to be rounded and an unbounded P has no support
-        along it, the offset is that of the row before rounding, and the result is approximate. If M is nearly singular,
+        along it, the offset is that of the row before rounding, also for the opposite row if there is one, and the
+        result is approximate: it may be bounded where the image is a narrow strip. If M is nearly singular,
         rounded rows may meet far away; the sides of the bounding box then limit the result.
         """
         return Polytope(*operations.linear_image(self, *self._affine(M, t, M_columns=True)))
@@ -550,7 +551,7 @@ class Polytope(ConvexSet):
         Returns
         -------
         Polytope
-            In R^k, with one row per row of P.
+            In R^k, with one row per row of P; empty if P is.
 
         Raises
         ------
