@@ -547,7 +547,8 @@ class ConvexSet:
 
         Numbers from l on stand for the rows of x_j = 0.
         """
-        matrix, (H, h), n = flint().fmpq_mat, self.exact, self.dimension
+        matrix, n = flint().fmpq_mat, self.dimension
+        H, h = self.exact
         zero, one = flint().fmpq(0), flint().fmpq(1)
         chosen = [H[r] if r < len(h) else [one if r - len(h) == j else zero for j in range(n)] for r in rows]
         try:
@@ -730,7 +731,8 @@ def _units(H: Array, h: Array) -> IntArray:
     They follow the data: another power of two as the unit of a coordinate, or as the factor of a row, changes e
     accordingly, or does not change it.
     """
-    unit, size, offset = np.zeros(H.shape[1], int), np.frexp(H)[1], np.frexp(h)[1]
+    size, offset = np.frexp(H)[1], np.frexp(h)[1]
+    unit = np.zeros(H.shape[1], int)
     settled = np.zeros(H.shape[1], bool)
     for j in range(H.shape[1]):
         cuts = (H[:, j] != 0) & (h != 0)

@@ -157,7 +157,8 @@ def image(H: Sequence[Vector], h: Sequence[Any], M: Sequence[Vector]) -> list[tu
     Independent rows of M and some coordinates of x are taken as new coordinates. Fourier-Motzkin elimination removes
     the latter. The rows of M that depend on the others give equations.
     """
-    matrix, zero, one = flint().fmpq_mat, flint().fmpq(0), flint().fmpq(1)
+    matrix = flint().fmpq_mat
+    zero, one = flint().fmpq(0), flint().fmpq(1)
     m, n = len(M), len(M[0])
     chosen, pivots = _pivots(M)
     r = len(chosen)
