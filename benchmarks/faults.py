@@ -33,7 +33,7 @@ TESTS = {  # the pytest arguments that must catch the faults of a room
     "units": "tests/engines/test_units.py -k 'not safe_sets'",
     "system": "tests/systems/test_pwa.py",
     "rational": "tests/arithmetic/test_rational.py",
-    "polytope": "tests/sets/test_polytope.py",
+    "polytope": "tests/sets/test_convex_set.py",
     "lp": "tests/solvers/test_linear_program.py",
     "milp": "tests/engines/test_milp.py tests/engines/test_bounds.py -k 'boxes or cutoff'",
     "approximation": "tests/approximation/test_fit.py",
