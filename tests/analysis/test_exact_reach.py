@@ -98,6 +98,16 @@ def test_images_are_widened_in_proportion_to_the_largest_coordinate(size, gain):
     np.testing.assert_allclose(found.added, 2 * widening, rtol=1e-9)
 
 
+@pytest.mark.parametrize("gain", [0.5, 120.0, 4800.0])
+@pytest.mark.parametrize("gap", [1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12])
+def test_corners_of_x_outside_of_a_set_have_no_part_in_its_image(gap, gain):
+    """A corner that nearly touches the set may count, but not by a distance that grows with the image."""
+    loop = affine_loop([[0.0, gain], [0.5, 0.0]])
+    R = mr.exact_reach(loop, square(1 - gap), 1)[1]
+    excess = R.bounding_box()[1] - np.array([gain, 0.5]) * (1 - gap)
+    assert (excess >= 0).all() and (excess <= 3e-11 * max(gain, 1)).all()
+
+
 # -- many pieces --------------------------------------------------------------------------------------
 
 

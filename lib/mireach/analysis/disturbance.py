@@ -59,8 +59,8 @@ def largest_disturbance(
     loop : ClosedLoop
         Its own disturbance sets do not matter.
     method : "maximal", "template", or callable
-        Which safe set: the maximal one (two states), F_max with the template C, or whatever a function of a
-        ClosedLoop says (bool).
+        Which safe set: the maximal one (two states), F_max with the template C, or one that a function of a
+        ClosedLoop looks for (it returns a bool).
     accuracy : float
         Of r.
     largest : float or None

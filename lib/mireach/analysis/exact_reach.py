@@ -11,7 +11,6 @@ import shapely
 from shapely.errors import GEOSException
 
 from ..checks import require_kind, whole_number
-from ..engines.cells import TOUCH
 from ..errors import RegionError
 from ..sets.geos import Shape, Shapes, hulls, overlay
 from ..sets.polygons import Polygons
@@ -81,7 +80,7 @@ def exact_reach(loop: ClosedLoop, F: Polytope | Region, steps: int) -> list[Regi
     -------
     list of steps + 1 Region
         Up to rounding: images with an area are widened by up to 3e-11 of the size of X and its image at every step,
-        so that no cracks open between them. Only what stays in X goes on. Nothing is proven about them.
+        so that no cracks open between them. Only the part within X has successors. Nothing is proven about them.
 
     Raises
     ------
@@ -168,7 +167,7 @@ def attractor(
     R_k may have ever more corners. Every image is therefore widened by a box and then loses those corners that lie
     within that margin, so that each set holds the image of the one before it; floats check it, with a margin that
     covers their rounding. The half-width is 1.5e-11 of the size of X and its image at first. It grows, up to an eighth
-    of the tolerance, where a set would have more than 300 corners. `added` says how much was added.
+    of the tolerance, where a set would have more than 300 corners. `added` is the sum of the widenings.
     """
     by_axis = per_axis(tolerance, 2, "tolerance")
     max_steps = whole_number(max_steps, "max_steps", 1)
@@ -233,7 +232,7 @@ def _images(plane: PlanarLoop, R: Region) -> Polygons:
     whole = shapely.covers(R.shape, plane.shapes)
     which = np.flatnonzero(whole)
     batches: list[tuple[Polygons, IntArray]] = [(cells.take(which), which)]
-    cut = np.flatnonzero(~whole & shapely.dwithin(R.shape, plane.shapes, 2 * TOUCH * plane.size))
+    cut = np.flatnonzero(~whole & shapely.dwithin(R.shape, plane.shapes, 2 * plane.touch))
     if len(cut):
         batches.append(_parts(plane, cut, R.simplices))
     images = []
@@ -247,8 +246,8 @@ def _images(plane: PlanarLoop, R: Region) -> Polygons:
 
 
 def _parts(plane: PlanarLoop, chosen: IntArray, pieces: Polygons) -> tuple[Polygons, IntArray]:
-    """The parts of chosen cells within pieces: Polygons, and the cell each comes from."""
-    cells, touch = plane.polygons.take(chosen), TOUCH * plane.size
+    """The parts of chosen cells within pieces: Polygons, and the index of the cell of each part."""
+    cells, touch = plane.polygons.take(chosen), plane.touch
     starts, ends = pieces.least(pieces.points) - touch, pieces.largest(pieces.points) + touch
     near = (cells.least(cells.points)[:, None] <= ends).all(axis=2)
     near &= (cells.largest(cells.points)[:, None] >= starts).all(axis=2)

@@ -70,7 +70,7 @@ class MaximalSafeSet:
     Attributes
     ----------
     set : Region or None
-        RPI, and what is meant by the maximal set in every figure; None if none was found.
+        RPI; the figures show it as the maximal set. None if none was found.
     outer : Region
         Outside of it every state can be driven out of X.
     iterations : int
@@ -162,7 +162,7 @@ def maximal_safe_set(
     -----
     What is proven: `set` is RPI. `prove_rpi` shows that without rounding and without any of the code below.
     If it fails, or the boundary of S_k has ever more corners, up to 10^4 times the slack is tried, and then none
-    at all, which suits sets that fit by a hair; `slack`, `reason` and `given_up` say so.
+    at all, which suits sets that fit exactly; `slack`, `reason` and `given_up` report it.
 
     What rests on floats: that `outer` holds every RPI set, and so that X holds none where it is empty. There
     the iteration removes only states that are lost with a margin: lost sets are shrunk by the slack before
@@ -218,7 +218,7 @@ def _outer(plane: PlanarLoop, slack: float, max_iterations: int) -> Region:
 
 
 def has_maximal_set(loop: ClosedLoop) -> bool:
-    """Whether the iteration of `maximal_safe_set` comes to rest before nothing is left, with the default slack.
+    """Whether the iteration of `maximal_safe_set` ends with a nonempty set, with the default slack.
 
     Raises
     ------
@@ -383,7 +383,7 @@ def _shrink(
     """S_0, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
 
     `slack` (own units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
-    negative for a set around it: only what is lost by more than that carries on. At 0 there is no margin.
+    negative for a set around it: only what is lost by more than that counts as lost. At 0 there is no margin.
     """
     history = [Region.of(_inset(plane.state_set, max(slack, 0.0)))]
     try:

@@ -80,7 +80,7 @@ class ConvexSet:
             raise ValueError(f"H has {len(rows)} rows but h has {len(offsets)} entries; each row needs one offset")
         if not rows.shape[1]:
             raise ValueError("H has no columns; a polytope needs at least one dimension")
-        if not rows.flags.c_contiguous:  # the compiled functions know one layout
+        if not rows.flags.c_contiguous:  # the compiled functions need one layout
             rows = np.ascontiguousarray(rows)
             rows.setflags(write=False)
         object.__setattr__(self, "H", rows)
@@ -568,7 +568,7 @@ class ConvexSet:
 
     @cached_property
     def _plane(self) -> _Plane | Any:
-        """In the plane what `kernels.polygon` says, unless it finds no vertices; else None."""
+        """In the plane the result of `kernels.polygon`, unless it has no vertices; else None."""
         if self.dimension != 2:
             return None
         found = _Plane(*polygon(self.H, self.h, PARALLEL, TOUCH))
@@ -625,16 +625,16 @@ class ConvexSet:
 
     @property
     def _contradiction(self) -> tuple[int, ...]:
-        """Rows that, says HiGHS, no point satisfies together: a few, or none."""
+        """A few rows that no point satisfies together, according to HiGHS; or none."""
         lp, x, _ = self._program
         try:
             if lp.maximize(x, np.zeros(self.dimension)).value > -np.inf:
                 return ()
         except SolverError:
             return ()
-        highs: Any = lp.highs  # its stubs do not know getDualRay
-        _, known, ray = highs.getDualRay()
-        return tuple(int(r) for r in np.flatnonzero(ray)) if known else ()
+        highs: Any = lp.highs  # its stubs lack getDualRay
+        _, found, ray = highs.getDualRay()
+        return tuple(int(r) for r in np.flatnonzero(ray)) if found else ()
 
     # -- vertices ---------------------------------------------------------------------------------
 

@@ -1,6 +1,6 @@
 """The rows of new sets: intersections, hulls, sums, differences, images and preimages of polytopes.
 
-Every function returns the rows H and the offsets h of {x : H x <= h}; the methods of `Polytope` of the same names say
+Every function returns the rows H and the offsets h of {x : H x <= h}; the methods of `Polytope` document
 what the sets are and in which direction they are rounded.
 """
 

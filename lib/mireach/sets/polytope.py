@@ -450,7 +450,7 @@ class Polytope(ConvexSet):
         Rounded outward: every offset is the smallest float that is not below h_P + h_Q along its row. The rows are
         exact for n <= 2 and for boxes, where every facet of P + Q is parallel to one of P or of Q. Otherwise they are
         the facets of the hull of all sums of two vertices, rounded to nearest. For n > 2 and unbounded sets it is
-        `map` of the product, and approximate as `map` says.
+        `map` of the product, and approximate in the way described there.
         """
         self._require_same_space(Q, "a Minkowski sum")
         return Polytope(*operations.minkowski_sum(self, Q))
@@ -605,7 +605,7 @@ class Polytope(ConvexSet):
 
         Notes
         -----
-        Rounded outward, and for unbounded P approximate, as `map` says.
+        Rounded outward for bounded P, and approximate for unbounded P: see `map`.
         """
         chosen = [whole_number(axis, "an entry of axes", 0) for axis in np.atleast_1d(axes).tolist()]
         n = self.dimension

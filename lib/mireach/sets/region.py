@@ -429,7 +429,7 @@ class Region:
         Returns
         -------
         bool
-            Decided as `is_subset` says.
+            Decided as in `is_subset`.
 
         Raises
         ------
