@@ -94,7 +94,7 @@ def ask_milp(loop, F, V, steps=1):
     """Seconds of one support by the MILP, inf if the time limit came first, and its bound."""
     begin = perf_counter()
     try:
-        bound = mr.support(loop, F, V, steps, engine="milp", time_limit=TIME_LIMIT).bound
+        bound = mr.support(loop, F, V, steps, engine=mr.Milp(time_limit=TIME_LIMIT)).bound
     except SolverStopped as stop:
         return np.inf, stop.support.bound
     return perf_counter() - begin, bound

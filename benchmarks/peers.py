@@ -108,7 +108,7 @@ def compare(name, peers, count, across):
     full, ours = timed(lambda F, V: mr.support(case.loop, F, V, engine="milp").bound, every)
     check(name, "milp", case.loop, every, ours)
     row(f"all {len(sets)} sets x 8", "this package, MILP", [s / len(V) for s in full], sum(full))
-    told, bounds = timed(told_of_the_last(case.loop), every)
+    told, bounds = timed(warm_started(case.loop), every)
     check(name, "milp, told of the last set,", case.loop, every, bounds)
     row("the same, told of the last set", "this package, MILP", [s / len(V) for s in told], sum(told))
     mr.support(case.loop, sets[0], V)  # builds the cells
@@ -132,12 +132,12 @@ def compare(name, peers, count, across):
     return ratios
 
 
-def told_of_the_last(loop):
+def warm_started(loop):
     """Bounds by the MILP as a function of F and V, for one set after another, each in the last one."""
     last = []
 
     def bounds(F, V):
-        last[:] = [mr.support(loop, F, V, engine="milp", known=last[0] if last else None)]
+        last[:] = [mr.support(loop, F, V, engine="milp", warm_start=last[0] if last else None)]
         return last[0].bound
 
     return bounds

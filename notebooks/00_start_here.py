@@ -11,15 +11,15 @@
 # %% [markdown]
 # # Start here: analyse a neural loop in ten lines
 #
-# **What you will do.** Take a system whose controller is a trained neural network, compute a set that the closed loop
-# never leaves and a small set that it always enters, and let random disturbances try to break both.
+# **What you will do.** You take a system whose controller is a trained neural network. You compute a set that the
+# closed loop never leaves, and a small set that it always enters. Then you test both with random disturbances.
 #
-# **What you will learn.** What the paper [Teichrib2025] proves and by which four steps; which name each of its symbols
-# has in the code; what the other notebooks are for.
+# **What you will learn.** What the paper [Teichrib2025] proves, and the four steps of its method. How the paper's
+# symbols are named in the code. What the other notebooks cover.
 #
-# **What you will need.** Python, and a first course in control: states, inputs, feedback. Nothing else yet.
+# **What you need.** Python, and a first course in control: states, inputs, feedback.
 #
-# Runs in about ten seconds. Go through the cells with Shift+Enter, or choose *Run All*.
+# The notebook runs in about ten seconds. Run the cells one by one with Shift+Enter, or choose *Run All*.
 
 # %% [markdown]
 # ## 1. Check the installation
@@ -32,7 +32,7 @@ missing = [name for name in needed if find_spec(name) is None]
 print("missing packages:", missing or "none")
 
 # %% [markdown]
-# If something is missing, close this notebook and start it by `python3 run.py lab`, which installs what the course
+# If a package is missing, close this notebook and run `python3 run.py lab`. It installs everything that the course
 # uses.
 
 # %%
@@ -45,40 +45,40 @@ from mireach import plotting
 # %% [markdown]
 # ## 2. The question
 #
-# A system has several *modes*, and the mode depends on where state and input are (eq. SysWithDis):
+# The system has several *modes*. The state and the input determine which mode is active (eq. (1), SysWithDis):
 #
 # $$x(k+1) = A^{(i)} x(k) + B^{(i)} u(k) + p^{(i)} + d(k) \quad\text{if } (x(k), u(k)) \in \mathcal{P}^{(i)},
 # \qquad d(k) \in \mathcal{D}^{(i)}.$$
 #
-# Somebody has trained a neural network $\Phi$ that imitates a good but slow controller, and lets it act (eq. UOfK):
-# $u(k) = \Phi(x(k))$. The imitation is not perfect, the disturbance $d$ is only known to be bounded, and the state
-# must stay in a set $\mathcal{X}$, the input in $\mathcal{U}$. Simulating shows what *can* happen. What can *never*
+# The controller is a neural network $\Phi$ that was trained to imitate a good but slow controller: $u(k) = \Phi(x(k))$
+# (eq. (3), UOfK). The imitation is not perfect. The disturbance $d$ is unknown, but bounded. The state must stay in a
+# set $\mathcal{X}$, and the input in a set $\mathcal{U}$. A simulation shows what *can* happen. What can *never*
 # happen?
 #
-# The answer uses one kind of object: the set of states that are reachable within one step from a set $\mathcal{F}$
-# (eq. kStepReachSet),
+# The answer uses one kind of object: the set of states that are reachable in one step from a set $\mathcal{F}$
+# (eq. (4), kStepReachSet),
 #
 # $$\mathcal{R}_1^{\mathcal{D}}(\mathcal{F}) = \{\, f_{\text{PWA}}(x, \Phi(x)) + d
 # \;:\; x\in\mathcal{F},\ d\in\mathcal{D}^{(i)} \,\}.$$
 #
 # A set with $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})\subseteq\mathcal{F}$ is *robustly positively invariant* (RPI,
-# Def. RPI): who starts in it stays in it.
+# Def. 1): every trajectory that starts in it stays in it.
 
 # %% [markdown]
 # ## 3. Ten lines
 #
-# The four steps of the paper are:
+# The method of the paper has four steps:
 #
 # 1. **One step.** Enclose $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})$ in a polytope
-#    $\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F})$ with chosen normals $C$ (eq. Rover1); each facet is the
-#    optimum of a mixed-integer linear program (Lemmas 1 and 2).
+#    $\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F})$ with chosen normals $C$ (eq. (18), Rover1). The offset of
+#    each facet is the optimal value of a mixed-integer linear program (Lemmas 1 and 2).
 # 2. **Safe set.** Iterate $\mathcal{F}_{k+1} = \overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F}_k)\cap\mathcal{X}$
-#    from $\mathcal{F}_0 = \mathcal{X}$ until it is RPI: $\mathcal{F}_{\max}$ (Prop. Fmax).
-# 3. **Terminal set.** Go on from $\mathcal{F}_{\max}$ until almost nothing changes:
-#    $\overline{\mathcal{R}}_{\min} = \overline{\mathcal{R}}_{\overline{k}}^{\mathcal{D}}(\mathcal{F}_{\max})$ (eqs.
-#    RminOver, TerminationFmin).
-# 4. **Conclude.** If the last set, scaled by some $\alpha > 1$, lies in the one before, it is asymptotically stable
-#    (Theorem 1).
+#    from $\mathcal{F}_0 = \mathcal{X}$ until the set is RPI. This set is $\mathcal{F}_{\max}$ (Prop. 3, Fmax).
+# 3. **Terminal set.** Continue from $\mathcal{F}_{\max}$ until almost nothing changes:
+#    $\overline{\mathcal{R}}_{\min} = \overline{\mathcal{R}}_{\overline{k}}^{\mathcal{D}}(\mathcal{F}_{\max})$
+#    (eq. (24), RminOver, and eq. (25), TerminationFmin).
+# 4. **Stability.** If the last set, scaled by some $\alpha > 1$, lies in the set before it, the last set is
+#    asymptotically stable (Theorem 1).
 
 # %%
 case = mr.case_study("pwa")  # system and network of the first case study
@@ -97,8 +97,8 @@ for name, P in (("F_max", safe.set), ("R_min-bar", terminal.set)):
     print(f"{name:9} lies in [{lower[0]}, {upper[0]}] x [{lower[1]}, {upper[1]}]")
 
 # %% [markdown]
-# These sets are *proven*: they were built from upper bounds, not from samples. Here they are, as in Figure 1 of the
-# paper.
+# These sets are *proven*: they are built from upper bounds, not from samples. The next figure shows them as in Figure 1
+# of the paper.
 
 # %%
 figure, ax = plt.subplots(figsize=(6, 6))
@@ -106,15 +106,15 @@ plotting.plot_sequence(ax, case.system, safe, terminal)
 plt.show()
 
 # %% [markdown]
-# *What to see:* from anywhere in the green box, the loop is inside the first black outline after one step, inside the
-# second after two steps, and so on. The small blue set (enlarged at the lower right) is where it ends, for every
-# initial state and every disturbance.
+# *What to see:* from anywhere in the green box, the state lies inside the first black outline after one step, inside
+# the second after two steps, and so on. The small blue set (enlarged at the lower right) contains the state in the end,
+# for every initial state and every disturbance.
 
 # %% [markdown]
 # ## 4. Try to break it
 #
-# A proof should survive an attack. Two hundred initial states all over $\mathcal{F}_{\max}$, a new random disturbance
-# in every step:
+# We test the proof by simulation: two hundred initial states all over $\mathcal{F}_{\max}$, with a new random
+# disturbance in every step.
 
 # %% tags=["nbval-check-output"]
 rng = np.random.default_rng(0)
@@ -133,13 +133,14 @@ plotting.legend_above(ax, 3)
 plt.show()
 
 # %% [markdown]
-# *What to see:* the trajectories jump across the regions (the quadrants, outlined in grey), never leave the green box,
-# and all end in the blue set.
+# *What to see:* the trajectories jump between the regions (the quadrants, outlined in grey). They never leave the green
+# box, and all of them end in the blue set.
 
 # %% [markdown]
-# ## 5. And where there is nothing to prove
+# ## 5. A claim that is false
 #
-# All of $\mathcal{X}$ is not RPI. A *no* comes with a witness: a state, its input, a disturbance, and where they lead.
+# The whole set $\mathcal{X}$ is not RPI. The check refutes the claim and returns a witness: a state, its input, a
+# disturbance, and the successor.
 
 # %%
 check = mr.check_rpi(loop, case.system.state_set)
@@ -153,14 +154,14 @@ print(check.verdict, "- replayed x+ is in X:", case.system.state_set.contains(af
 print("x2 after the step:", round(after[1], 2))
 
 # %% [markdown]
-# From the corner $(-10\ \ {-10})^\top$ the second state leaves $\mathcal{X}$, whatever the network does, because $u$
-# does not act on $x_2$ in this system. The iteration of step 2 therefore has to cut this corner off.
+# From the corner $(-10\ \ {-10})^\top$ the second state leaves $\mathcal{X}$ for every network, because $u$ does not
+# act on $x_2$ in this system. Step 2 of the method must therefore remove this corner.
 
 # %% [markdown]
 # ## 6. A nonlinear plant
 #
-# A nonlinear system is handled by a piecewise-affine approximation whose error counts as the disturbance (Theorem 2).
-# The second case study is a nonlinear double integrator in nine regions.
+# A nonlinear system is approximated by a piecewise-affine one. The approximation error is treated as the disturbance
+# (Theorem 2). The second case study is a nonlinear double integrator with nine regions.
 
 # %% tags=["nbval-check-output"]
 second = mr.case_study("double_integrator")
@@ -176,27 +177,31 @@ for condition, holds in answer.conditions.items():
 #
 # | paper | meaning | code |
 # | --- | --- | --- |
-# | $\mathcal{P} = \{x : H x \le h\}$, eq. HRep | polytope | `mr.Polytope(H, h)` |
+# | $\mathcal{P} = \{x : H x \le h\}$, eq. (2), HRep | polytope | `mr.Polytope(H, h)` |
 # | $h_{\mathcal{P}}(v)$, $h_{\mathcal{P}}(C)$ | support function, along each row of $C$ | `P.support(C)` |
 # | $\mathcal{A}\cap\mathcal{B}$, $\mathcal{A}\subseteq\mathcal{B}$, $s\mathcal{A}$ | intersection, inclusion, scaling | `A & B`, `A.is_subset(B)`, `A.scale(s)` |
-# | $C$, e.g. $(I\ \ {-I})^\top$ or eight unit rows | template: normals of the sets | `mr.box_directions(n)`, `mr.directions(8)` |
+# | $C$, e.g. $(I\ \ {-I})^\top$ or eight unit rows | template: facet normals | `mr.box_directions(n)`, `mr.directions(8)` |
 # | $A^{(i)}, B^{(i)}, p^{(i)}, \mathcal{P}^{(i)}, \mathcal{D}^{(i)}$ | a mode | `mr.Mode(A, B, p, region, disturbance)` |
-# | $f_{\text{PWA}}$, $\mathcal{X}$, $\mathcal{U}$, eq. SysWithDis | system | `mr.PWASystem(modes, state_set, input_set)` |
-# | $\Phi$; $W^{(i)}, b^{(i)}, p_i$, eqs. NN, maxout | maxout network | `mr.MaxoutNetwork`; `mr.Layer(weight, bias, pool)` |
+# | $f_{\text{PWA}}$, $\mathcal{X}$, $\mathcal{U}$, eq. (1), SysWithDis | system | `mr.PWASystem(modes, state_set, input_set)` |
+# | $\Phi$; $W^{(i)}, b^{(i)}, p_i$, eq. (6), NN; eq. (8), maxout | maxout network | `mr.MaxoutNetwork`; `mr.Layer(weight, bias, pool)` |
 # | layers that project onto $\mathcal{U}$ | saturation, exact | `net.saturate(lower, upper)` |
-# | eq. CLSystem | closed loop | `mr.ClosedLoop(system, net)`, `.step`, `.simulate` |
+# | eq. (16a), CLSystem | closed loop | `mr.ClosedLoop(system, net)`, `.step`, `.simulate` |
 # | $h_{\mathcal{R}_k^{\mathcal{D}}(\mathcal{F})}(C)$, Lemma 2 | support function of a reachable set | `mr.support(loop, F, C, steps=k)` |
-# | $\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F})$, eq. Rover1 | outer approximation of one step | `mr.outer_step(loop, F, C)` |
-# | $\overline{\mathcal{R}}_k^{\mathcal{D}}(\mathcal{F})$, eq. ROverOver | the same, $k$ times | `mr.outer_reach(loop, F, C, k)` |
-# | $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})\subseteq\mathcal{F}$, Def. RPI | invariance | `mr.check_rpi(loop, F)` |
-# | $\mathcal{F}_k$, $\mathcal{F}_{\max}$, $\hat{k}$, Prop. Fmax | safe set | `mr.safe_set(loop, C)`: `.history`, `.set`, `.iterations` |
-# | $\overline{\mathcal{R}}_{\min}$, $\overline{k}$, $\overline{\epsilon}$, eq. TerminationFmin | terminal set | `mr.terminal_set(loop, safe, C, epsilon)`: `.set`, `.steps`, `.criterion` |
+# | $\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F})$, eq. (18), Rover1 | outer approximation of one step | `mr.outer_step(loop, F, C)` |
+# | $\overline{\mathcal{R}}_k^{\mathcal{D}}(\mathcal{F})$, eq. (19), ROverOver | the same, $k$ times | `mr.outer_reach(loop, F, C, k)` |
+# | $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})\subseteq\mathcal{F}$, Def. 1, RPI | invariance | `mr.check_rpi(loop, F)` |
+# | $\mathcal{F}_k$, $\mathcal{F}_{\max}$, $\hat{k}$, Prop. 3, Fmax | safe set | `mr.safe_set(loop, C)`: `.history`, `.set`, `.iterations` |
+# | $\overline{\mathcal{R}}_{\min}$, $\overline{k}$, $\overline{\epsilon}$, eq. (25), TerminationFmin | terminal set | `mr.terminal_set(loop, safe, C, epsilon)`: `.set`, `.steps`, `.criterion` |
 # | $\alpha$, $\delta_{\max}$, Theorem 1 | stability | `terminal.alpha`, `.delta_max`, `.stable` |
-# | $(1+\underline{\epsilon})\overline{\mathcal{R}}_{\underline{k}}^{\mathcal{D}}(\mathbf{0})$, Sec. IV.B | approximation from the inside | `mr.scaled_minimal_set(loop, C, epsilon)` |
+# | $(1+\underline{\epsilon})\overline{\mathcal{R}}_{\underline{k}}^{\mathcal{D}}(\mathbf{0})$, Sec. IV.B | approximation from inside | `mr.scaled_minimal_set(loop, C, epsilon)` |
 # | $f - f_{\text{PWA}}\in\mathcal{D}^{(i)}$ | approximation and its error | `mr.fit_pwa`, `mr.prove_error` |
 # | Theorem 2 | ultimate boundedness | `mr.ultimately_bounded(plant, loop, safe, terminal)` |
 #
-# Every function says more about itself: `mr.safe_set?` in a cell.
+# The numbers of equations are those of the paper's preprint; the names are the labels in its LaTeX source. The preprint
+# counts theorems, lemmas and propositions together. Theorem 1 of this course (label BoundedStab) is its Theorem 4, and
+# Theorem 2 (label UUB) is its Theorem 6.
+#
+# For the documentation of a function, run e.g. `mr.safe_set?` in a cell.
 
 # %% [markdown]
 # ## 8. The course
@@ -205,38 +210,38 @@ for condition, holds in answer.conditions.items():
 # | --- | --- | --- |
 # | 01_sets_and_support_functions | compute with sets by their support functions | ex01 |
 # | 02_maxout_as_mixed_integer | write a network as a mixed-integer program, and break it | ex02 |
-# | 03_pwa_systems_as_mixed_integer | the same for a system with modes | ex03 |
+# | 03_pwa_systems_as_mixed_integer | do the same for a system with modes | ex03 |
 # | 04_disturbances_and_one_step_sets | add the disturbance, draw one step, refute an RPI claim | ex04 |
 # | 05_from_mpc_to_a_maxout_net | solve optimal control problems, train the 3x3 network | ex05 |
-# | 06_case_study_pwa | the first case study, set by set | ex06 |
+# | 06_case_study_pwa | compute the sets of the first case study one by one | ex06 |
 # | 07_fit_the_double_integrator | approximate a nonlinear plant, prove the error | ex07 |
-# | 08_train_the_5x5_net | data by nonlinear optimal control, train the 5x5 network | ex08 |
-# | 09_case_study_double_integrator | the second case study, set by set | ex09 |
-# | 10_beyond_the_paper | exact cells, other centres, tighter errors, many networks | |
-# | 11_your_own_system | your own plant and your own torch network | |
-# | 12_disturbance_lab | drag the disturbance and watch the sets follow | |
-# | 13_the_maximal_safe_set | the set that the paper calls out of reach, by going backwards | ex10 |
-# | 14_beyond_the_plane | three and four tanks: the MILP alone, and what it can prove | |
+# | 08_train_the_5x5_net | make data by nonlinear optimal control, train the 5x5 network | ex08 |
+# | 09_case_study_double_integrator | compute the sets of the second case study one by one | ex09 |
+# | 10_beyond_the_paper | use exact cells, other centres, tighter errors, many networks | |
+# | 11_your_own_system | analyse your own plant and your own torch network | |
+# | 12_disturbance_lab | drag the disturbance and see how the sets change | |
+# | 13_the_maximal_safe_set | compute backwards the set that the paper's method cannot compute | ex10 |
+# | 14_beyond_the_plane | analyse three and four tanks with the MILP alone, and see what it can prove | |
 #
-# The notebooks 01 to 04 build on each other. 05 and 06 belong together, and so do 07, 08 and 09; 11 needs only this
-# page, 12 and 13 need 06 and 09. `python3 run.py exercises` puts your copies of the exercises into
-# `notebooks/exercises/release/`. Sliders need a running kernel; every slider stands below a static figure that shows
-# the same.
+# Notebooks 01 to 04 build on each other. 05 and 06 belong together, and so do 07, 08 and 09. 11 needs only this
+# notebook; 12 and 13 need 06 and 09. `python3 run.py exercises` writes your copies of the exercises to
+# `notebooks/exercises/release/`. Sliders need a running kernel. Above every slider a static figure shows the same
+# content.
 
 # %% [markdown]
-# **What you saw.** A few calls turn a system and a network into a proof: a set that is never left, a set that is
-# always entered, or a trajectory that shows why there is no proof.
+# **What you saw.** A few calls turn a system and a network into a proof. The result is a set that is never left and a
+# set that is always entered, or a trajectory that shows why there is no proof.
 #
 # **On your own.**
 #
 # - Replace `mr.directions(8)` by `mr.directions(16)`. Is the terminal set smaller? Why does the sequence end now?
 # - Double the disturbance: `mr.case_study("pwa").loop.with_disturbance(mr.Polytope.box([-0.3, -0.3], [0.3, 0.3]))`. Is
 #   there still a safe set? If not, what does `.reason` say, and what would another template have to do?
-# - Claim a set of your own: `mr.check_rpi(loop, mr.Polytope.box([-3, -3], [3, 3]))`. If it is refuted, replay the
-#   witness. Which of the sets in the first figure are RPI?
+# - Check a set of your own: `mr.check_rpi(loop, mr.Polytope.box([-3, -3], [3, 3]))`. If the claim is refuted, replay
+#   the witness. Which of the sets in the first figure are RPI?
 #
 # **Further reading.** D. Teichrib and M. Schulze Darup, *A mixed-integer framework for analyzing neural network-based
-# controllers for piecewise affine systems with bounded disturbances*, ECC 2025 ([Teichrib2025] throughout the course);
-# for invariant sets, F. Blanchini, *Set invariance in control*, Automatica 35, 1999.
+# controllers for piecewise affine systems with bounded disturbances*, ECC 2025 ([Teichrib2025] throughout the course).
+# For invariant sets, F. Blanchini, *Set invariance in control*, Automatica 35, 1999.
 #
-# **Next:** 01_sets_and_support_functions, which shows what can be done with a set of which only $h(v)$ is known.
+# **Next:** 01_sets_and_support_functions shows how to compute with a set if you know only its support function $h(v)$.

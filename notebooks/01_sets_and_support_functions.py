@@ -11,15 +11,15 @@
 # %% [markdown]
 # # Compute with sets by their support functions
 #
-# **What you will do.** Draw polytopes and their support functions, add and compare sets without drawing them, put
-# templates around a set that is not even convex, and watch a badly chosen template grow for ever.
+# **What you will do.** Draw polytopes and their support functions. Add and compare sets without drawing them. Enclose a
+# nonconvex set in a template. See how a badly chosen template grows without bound.
 #
-# **What you will learn.** Why one number a direction is all that the paper's method asks about a set; what a template
-# $C$ adds to the truth, and how that adds up when it is applied again and again.
+# **What you will learn.** Why the paper's method needs only one number per direction to describe a set. By how much a
+# template with normals $C$ over-approximates a set, and how this error accumulates over several steps.
 #
 # **What you will need.** Matrices, the maximum of a linear function, and notebook 00.
 #
-# Runs in about ten seconds.
+# The notebook runs in about ten seconds.
 
 # %%
 import matplotlib.pyplot as plt
@@ -32,15 +32,15 @@ from mireach.lab import step_viewer
 from mireach.systems.plants import pwa_plant
 
 # %% [markdown]
-# ## 1. A polytope is a list of half-planes
+# ## 1. A polytope is a list of half-spaces
 #
-# Eq. HRep writes a polyhedral set by its facets: every row of $H$ is the outward normal of one of them, and the same
-# entry of $h$ says how far out it lies,
+# Eq. (2), HRep, describes a polyhedral set by its facets. Each row of $H$ is the outward normal of a facet, and the
+# corresponding entry of $h$ is the offset of this facet,
 #
 # $$\mathcal{P} = \{\, x\in\mathbb{R}^n : H x \le h \,\}.$$
 
 # %% tags=["nbval-check-output"]
-H = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -2.0], [-1.0, 2.0]])  # eq. HRep, four facets
+H = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -2.0], [-1.0, 2.0]])  # eq. (2), HRep, four facets
 h = np.array([2.0, 1.5, 2.0, 2.0])
 P = mr.Polytope(H, h)
 
@@ -50,7 +50,7 @@ print("holds the origin:", P.contains([0, 0]), "  holds (2, 1.6):", P.contains([
 
 # %%
 def draw_facets(ax, P):
-    """The line v x = h of every row of a polytope, numbered."""
+    """Draw the line v x = h of every row of a polytope, numbered."""
     t = np.array([[-6.0], [6.0]])
     for i, (v, offset) in enumerate(zip(P.H, P.h), start=1):
         foot, along = v * offset / (v @ v), np.array([-v[1], v[0]]) / np.linalg.norm(v)
@@ -70,13 +70,13 @@ plotting.label_axes(ax, P.scale(1.6))
 plt.show()
 
 # %% [markdown]
-# *What to see:* each dashed line is one row of $H x \le h$, its arrow the row itself; the set is what lies behind all
-# of them.
+# *What to see:* each dashed line is one row of $H x \le h$, and its arrow is the normal. The set is the intersection of
+# the half-spaces behind these lines.
 
 # %% [markdown]
-# ## 2. The support function: how far does a set reach?
+# ## 2. The support function
 #
-# For a row $v$ (Sec. I.A),
+# For a row $v$ (Sec. I.A), the support function is the largest value of $v x$ on the set:
 #
 # $$h_{\mathcal{P}}(v) = \sup_{x\in\mathcal{P}} v x .$$
 #
@@ -97,8 +97,8 @@ for v, built_in in zip(V, P.support(V)):
     print(f"v = {v.tolist()}: h(v) = {value:.3f} at x = {point}   (P.support: {built_in:.3f})")
 
 # %% [markdown]
-# Below, $v$ turns once around, $v = (\cos\varphi\ \ \sin\varphi)$. At the left the supporting lines $v x = h(v)$ for a
-# few $\varphi$, at the right $h$ over all of them.
+# In the next figure, $v = (\cos\varphi\ \ \sin\varphi)$ turns once around. Left: the supporting lines $v x = h(v)$ for
+# a few $\varphi$. Right: $h$ for all $\varphi$.
 
 
 # %%
@@ -124,14 +124,14 @@ right.set(xlabel=r"angle $\varphi$ of $v$ in degrees", ylabel=r"$h_{\mathcal{P}}
 plt.show()
 
 # %% [markdown]
-# *What to see:* a supporting line touches the set and does not cut it. The curve is a piece of a cosine as long as
-# $v x$ is largest at one and the same corner, and has a kink where $v$ is the normal of a facet.
+# *What to see:* a supporting line touches the set and does not cut it. As long as one vertex maximises $v x$, the curve
+# is a piece of a cosine. It has a kink where $v$ is the normal of a facet.
 
 # %% [markdown]
-# ## 3. Rules that make it useful
+# ## 3. Rules for support functions
 #
-# What the closed loop does to a set is: multiply by a matrix, shift, add a disturbance, join pieces. Each is one line
-# for support functions, and none needs the corners:
+# In one step, the closed loop multiplies a set by a matrix, shifts it, adds a disturbance, and takes the union of
+# several pieces. Each operation is one line for support functions. None of them needs the vertices:
 #
 # $$h_{A\mathcal{P}}(v) = h_{\mathcal{P}}(v A), \qquad
 # h_{\mathcal{P}\oplus\mathcal{D}}(v) = h_{\mathcal{P}}(v) + h_{\mathcal{D}}(v),$$
@@ -139,7 +139,7 @@ plt.show()
 # $$h_{s\mathcal{P}}(v) = s\,h_{\mathcal{P}}(v)\ (s>0), \qquad
 # h_{\mathcal{P}\cup\mathcal{Q}}(v) = \max\{h_{\mathcal{P}}(v), h_{\mathcal{Q}}(v)\}.$$
 #
-# The first two, against the corners of the image $A\mathcal{P}\oplus\mathcal{D}$:
+# We compare the first two rules with the vertices of $A\mathcal{P}\oplus\mathcal{D}$:
 
 # %% tags=["nbval-check-output"]
 A = np.array([[0.5, -0.6], [0.4, 0.7]])
@@ -147,7 +147,7 @@ D = mr.Polytope.box([-0.15, -0.15], [0.15, 0.15])
 C = mr.directions(8)  # the paper's C_i, eight unit rows
 
 by_rules = P.support(C @ A) + D.support(C)  # h of A P + D along C
-corners = (P.vertices() @ A.T)[:, None] + D.vertices()[None]  # every corner of A P plus every corner of D
+corners = (P.vertices() @ A.T)[:, None] + D.vertices()[None]  # every vertex of A P plus every vertex of D
 by_corners = (corners.reshape(-1, 2) @ C.T).max(axis=0)
 print("by the rules:  ", by_rules.round(3))
 print("by the corners:", by_corners.round(3))
@@ -158,12 +158,12 @@ print("by the corners:", by_corners.round(3))
 # $$\mathcal{P}\subseteq\mathcal{Q} = \{x : H^{(\mathcal{Q})} x \le h^{(\mathcal{Q})}\} \quad\Longleftrightarrow\quad
 # h_{\mathcal{P}}(H^{(\mathcal{Q})}) \le h^{(\mathcal{Q})}.$$
 #
-# The check whether a set is invariant is exactly this, with a reachable set at the left. A single row that fails is a
-# proof of the contrary, and the point where $\mathcal{P}$ reaches furthest along it is a witness.
+# The invariance check is exactly this test, with a reachable set on the left. One violated row disproves the inclusion.
+# The point of $\mathcal{P}$ that maximises this row (the support vector) is a witness.
 
 # %% tags=["nbval-check-output"]
 Q = mr.Polytope.box([-2.2, -2.2], [2.2, 1.4])
-excess = P.support(Q.H) - Q.h  # positive where P passes a facet of Q
+excess = P.support(Q.H) - Q.h  # positive where P violates a facet of Q
 row = int(np.argmax(excess))
 value, witness = support_by_lp(P, Q.H[row])
 print("h_P - h_Q along the rows of Q:", excess.round(3))
@@ -172,8 +172,8 @@ print("P lies in Q:", P.is_subset(Q), "  a point of P outside Q reaches", round(
 # %% [markdown]
 # ## 5. What a template over-approximates
 #
-# The set of reachable states of a piecewise-affine loop is not convex. Here is one: the box $[-4, 4]\times[-3, 3]$
-# after one step of the four-mode system of the first case study with $u = 0$. Each quadrant is moved by its own matrix
+# The set of reachable states of a piecewise-affine loop is not convex. An example: take the box $[-4, 4]\times[-3, 3]$
+# after one step of the four-mode system of the first case study with $u = 0$. Each quadrant is mapped by its own matrix
 # $A^{(i)}$, and the disturbance adds $\mathcal{D}$.
 
 # %%
@@ -187,14 +187,14 @@ for mode in system.modes:
     images.append(mr.Polytope.from_points(moved.reshape(-1, 2)))  # A^(i) (quadrant) + D
 
 # %% [markdown]
-# The paper encloses such a set $\mathcal{R}$ by the same normals $C$ every time (eq. Rover1):
+# The paper encloses every such set $\mathcal{R}$ with the same normals $C$ (eq. (18), Rover1):
 #
 # $$\overline{\mathcal{R}} = \{\, x : C x \le h_{\mathcal{R}}(C) \,\}.$$
 
 
 # %%
 def template(C):
-    """eq. Rover1: the smallest polytope with normals C around all the images."""
+    """Eq. (18), Rover1: the smallest polytope with normals C around all the images."""
     return mr.Polytope(C, np.max([image.support(C) for image in images], axis=0))
 
 
@@ -215,9 +215,9 @@ plotting.legend_above(ax, 4)
 plt.show()
 
 # %% [markdown]
-# *What to see:* both templates touch the grey set along each of their normals; that is all they know of it. They lose
-# in two ways: corners between two normals are filled (that gets better with more rows), and so is everything between
-# the pieces (that never does, for a template set is convex).
+# *What to see:* both templates touch the grey set along each of their normals. They over-approximate it in two ways.
+# They fill the corners between two normals; more rows reduce this error. They also fill the gaps between the pieces;
+# more rows do not help here, because a template set is convex.
 
 
 # %% tags=["nbval-check-output"]
@@ -226,8 +226,8 @@ for count in (4, 8, 16, 32):
     print(f"{count:2} directions: {excess:6.1%} more area than the convex hull")
 
 # %% [markdown]
-# Along the rows of $C$ nothing is lost at all: $h_{\overline{\mathcal{R}}}(C) = h_{\mathcal{R}}(C)$. Between them
-# something is.
+# Along the rows of $C$ the template is exact: $h_{\overline{\mathcal{R}}}(C) = h_{\mathcal{R}}(C)$. Between them it is
+# not.
 
 # %%
 exact = np.max([image.support(unit(angles)) for image in images], axis=0)
@@ -241,26 +241,28 @@ plotting.legend_above(ax, 3)
 plt.show()
 
 # %% [markdown]
-# *What to see:* the curves meet at the dots (every 45 degrees), the dashed one only at every second dot. The dotted
-# curve is that of the convex hull too: a support function cannot tell a set from its hull.
+# *What to see:* the curves meet at the dots (every 45 degrees). The dashed curve meets the others only at every second
+# dot. The dotted curve also belongs to the convex hull, because a set and its convex hull have the same support
+# function.
 
 # %% [markdown]
-# ## 6. Again and again: the wrapping effect
+# ## 6. Repeated steps: the wrapping effect
 #
-# The paper's sets come from applying the template after every step (eq. ROverOver),
-# $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_1(\dots))$. What was added in one step is
-# carried on by the next. Take a system that is as harmless as can be: it turns by 45 degrees and shrinks by 0.8,
+# The paper applies the template after every step (eq. (19), ROverOver),
+# $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_1(\dots))$. Each step propagates the
+# over-approximation of the step before. Consider a simple stable system: a rotation by 45 degrees with a contraction by
+# 0.8,
 #
 # $$x^+ = A x, \qquad A = 0.8 \begin{pmatrix} \cos 45° & -\sin 45° \\ \sin 45° & \cos 45° \end{pmatrix}.$$
 #
-# One step for a template needs the first rule above, $h_{A\mathcal{F}}(C) = h_{\mathcal{F}}(C A)$.
+# One step of the template uses the first rule above, $h_{A\mathcal{F}}(C) = h_{\mathcal{F}}(C A)$.
 
 # %% tags=["nbval-check-output"]
 turn = 0.8 * np.array([[1.0, -1.0], [1.0, 1.0]]) / np.sqrt(2)
 
 
 def outer_sequence(F, C, steps):
-    """eq. ROverOver: F, R1-bar(F), R2-bar(F), ... for x+ = turn x."""
+    """Eq. (19), ROverOver: F, R1-bar(F), R2-bar(F), ... for x+ = turn x."""
     sets = [F]
     for _ in range(steps):
         sets.append(mr.Polytope(C, sets[-1].support(C @ turn)))
@@ -277,7 +279,7 @@ square = mr.Polytope.box([-1, -1], [1, 1]).vertices()
 
 
 def draw_step(ax, k):
-    """The true set and both templates after k steps."""
+    """Draw the true set and both templates after k steps."""
     turned = mr.Polytope.from_points(square @ np.linalg.matrix_power(turn, k).T)
     plotting.draw_set(ax, turned, **truth, label=r"$A^k\mathcal{F}$")
     plotting.draw_set(ax, octagons[k], **outline, edgecolor=plotting.BLUE, label="8 directions")
@@ -294,17 +296,18 @@ figure.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside upper center
 plt.show()
 
 # %% [markdown]
-# *What to see:* the true set (grey) shrinks by 0.8 a step. Eight directions lose nothing here, because the turn maps
-# these directions onto themselves. Four directions lose a factor $\sqrt2$ in *every* step, more than the system
-# shrinks: their box grows for ever, around a set that vanishes.
+# *What to see:* the true set (grey) shrinks by a factor of 0.8 per step. Eight directions lose nothing here, because
+# the rotation maps these directions onto themselves. Four directions lose a factor of $\sqrt2$ in *every* step. This
+# exceeds the contraction, so the box grows without bound while the true set shrinks to a point.
 #
-# The same with a slider (it needs a running kernel; without one, the figure above is what there is to see):
+# The next cell shows the same with a slider. It needs a running kernel; without one, use the figure above.
 
 # %%
 step_viewer(draw_step, len(boxes))
 
 # %% [markdown]
-# So a template is a design parameter, and a poor one can hide what is there. The second case study of the paper:
+# So the template is a design parameter. With a poor template the method may fail although a safe set exists. An example
+# is the second case study of the paper:
 
 # %% tags=["nbval-check-output"]
 case = mr.case_study("double_integrator")
@@ -313,22 +316,22 @@ for name, C in (("(I, -I)", mr.box_directions(2)), ("eight directions", mr.direc
     print(f"{name}: {'a safe set' if safe.set is not None else 'no safe set found'} ({safe.verdict})")
 
 # %% [markdown]
-# **What you saw.** A set is known by how far it reaches; images, sums, unions and inclusion are simple in these terms.
-# Templates turn any bounded set into a polytope with few facets, exact along their rows, generous between them, and
-# repeated use multiplies the generosity.
+# **What you saw.** The support function describes a convex set. Images, sums, unions and inclusion are simple to
+# compute with it. A template turns any bounded set into a polytope with few facets. This polytope is exact along the
+# rows of the template and too large between them. Over repeated steps the errors multiply.
 #
 # **On your own.**
 #
-# - Give `draw_facets` a polytope with a redundant row, one whose line does not touch the set. What is
+# - Give `draw_facets` a polytope with a redundant row, i.e. a row whose line does not touch the set. What is
 #   $h_{\mathcal{P}}$ along it?
-# - How do the widths in section 6 change for a turn by 30 degrees? For which number of directions does the template
+# - How do the widths in section 6 change for a rotation by 30 degrees? For which number of directions does the template
 #   lose nothing?
-# - Take `mr.directions(8)` with every second row doubled in length. Does the template set change? Why not?
+# - Take `mr.directions(8)` and double the length of every second row. Does the template set change? Why not?
 #
 # **Exercise:** ex01 (`python3 run.py exercises` makes your copy in `exercises/release/ex01`).
 #
-# **Further reading.** F. Blanchini and S. Miani, *Set-Theoretic Methods in Control*, Birkhäuser, chapter 3, for
-# support functions; A. Girard, *Reachability of uncertain linear systems using zonotopes*, HSCC 2005, on the wrapping
-# effect; [Teichrib2025], Sec. I.A and eqs. Rover1, ROverOver.
+# **Further reading.** F. Blanchini and S. Miani, *Set-Theoretic Methods in Control*, Birkhäuser, chapter 3, for support
+# functions. A. Girard, *Reachability of uncertain linear systems using zonotopes*, HSCC 2005, on the wrapping effect.
+# [Teichrib2025], Sec. I.A, eq. (18), Rover1, and eq. (19), ROverOver.
 #
-# **Next:** 02_maxout_as_mixed_integer: the set that has to be enclosed is the image under a neural network.
+# **Next:** 02_maxout_as_mixed_integer encloses the image of a set under a neural network.

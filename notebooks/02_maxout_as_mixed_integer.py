@@ -11,13 +11,13 @@
 # %% [markdown]
 # # Write a maxout network as mixed-integer constraints
 #
-# **What you will do.** Turn one maxout neuron into linear inequalities with binary variables, by hand, in cvxpy; then a
-# whole network, so that a solver can find the largest output over *all* states of a set. Then you break the model: once
-# with a big-$M$ that is too small, and once with one that is too large.
+# **What you will do.** Write one maxout neuron as linear inequalities with binary variables in cvxpy. Do the same for a
+# whole network, so that a solver can find the largest output over *all* states of a set. Then break the model twice:
+# with a big-$M$ that is too small, and with one that is too large.
 #
-# **What you will learn.** What each line of eq. MI_Constraints_NN is for; how many binaries a network costs; why a
-# big-$M$ that is too small makes every proof worthless, while one that is too large makes it slow and can make it wrong
-# as well; and where this package takes its big-$M$ from.
+# **What you will learn.** The purpose of each line of eq. (9), MI_Constraints_NN. How many binaries a network needs.
+# Why a big-$M$ that is too small invalidates every proof. Why one that is too large slows the solver down and can also
+# make the result wrong. How this package chooses its big-$M$.
 #
 # **What you need.** Notebook 01 (support functions), and some cvxpy: `cp.Variable`, `cp.Problem`, `solve`.
 #
@@ -34,7 +34,7 @@ from mireach.plotting import BLACK, BLUE, GREEN, ORANGE, RED
 # %% [markdown]
 # ## 1. One neuron
 #
-# A maxout neuron with $p$ channels computes the largest of $p$ affine functions of its input (eq. maxout):
+# A maxout neuron with $p$ channels computes the largest of $p$ affine functions of its input (eq. (8), maxout):
 #
 # $$ g(z) = \max_{1 \le j \le p} z_j, \qquad z = W y + b . $$
 #
@@ -43,7 +43,7 @@ from mireach.plotting import BLACK, BLUE, GREEN, ORANGE, RED
 # %%
 W, b = np.array([[1.0], [-1.0], [0.2]]), np.array([-1.0, -1.5, 0.5])
 xs = np.linspace(-3, 3, 121)
-Z = xs[:, None] @ W.T + b  # channels z_j, one a column
+Z = xs[:, None] @ W.T + b  # channels z_j, one per column
 fig, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
 for j, (colour, style) in enumerate(zip((BLUE, ORANGE, GREEN), ("--", "-.", ":"))):
     ax.plot(xs, Z[:, j], style, color=colour, linewidth=2, label=f"channel $z_{j + 1}$")
@@ -53,11 +53,11 @@ ax.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
 plt.show()
 
 # %% [markdown]
-# The neuron follows whichever channel is on top: first $z_2$, then $z_3$, then $z_1$. "Follow the winner" is an *or*,
-# and no set of linear inequalities alone says *or*: the graph of $g$ is not convex. One binary variable for each
-# channel does it.
+# The output of the neuron equals its largest channel: first $z_2$, then $z_3$, then $z_1$. This is a logical *or*. The
+# graph of $g$ is not convex, so linear inequalities alone cannot describe it. One binary variable per channel is
+# enough.
 #
-# **Eq. MI_Constraints_NN**, for neuron $l$ of layer $i$ and all its channels $j \in \mathcal{A}^{(i)}_l$:
+# **Eq. (9), MI_Constraints_NN**, for neuron $l$ of layer $i$ and all its channels $j \in \mathcal{A}^{(i)}_l$:
 #
 # $$ \begin{aligned}
 # q^{(i)}_l &\le W^{(i)}_j q^{(i-1)} + b^{(i)}_j + \overline{b}^{(i)} \, (1 - \delta^{(i)}_j), \\
@@ -65,15 +65,15 @@ plt.show()
 # \textstyle\sum_{\jmath \in \mathcal{A}^{(i)}_l} \delta^{(i)}_\jmath &= 1, \qquad \delta^{(i)} \in \{0, 1\}^{p_i w_i}.
 # \end{aligned} $$
 #
-# The second line says that $q$ is *at least* every channel. The first line, where $\delta_j = 1$, says that $q$ is *at
-# most* channel $j$. Both together leave only $q = z_j$ with $z_j$ the largest. Where $\delta_j = 0$ the first line must
-# not say anything, and that is what the constant $\overline{b}$ is for: it is a *big-M*. We write $M$ for it, and allow
-# a number of its own for each channel.
+# The second line requires that $q$ is *at least* every channel. The first line requires, where $\delta_j = 1$, that $q$
+# is *at most* channel $j$. Together they leave only $q = z_j$ with $z_j$ the largest channel. Where $\delta_j = 0$, the
+# first line must not restrict $q$. The constant $\overline{b}$ ensures this: it is a *big-M*. We write $M$ for it, and
+# allow a separate value for each channel.
 
 
 # %%
 def maxout_neuron(q, z, M):
-    """Constraints (eq. MI_Constraints_NN) that make q the largest entry of z (p,); M (p,), one number a channel."""
+    """Constraints (eq. (9), MI_Constraints_NN) for q = largest entry of z (p,); M (p,), one number per channel."""
     delta = cp.Variable(len(M), boolean=True)
     return [
         q <= z + cp.multiply(M, 1 - delta),
@@ -83,13 +83,13 @@ def maxout_neuron(q, z, M):
 
 
 # %% [markdown]
-# How big must $M_j$ be? When channel $j$ is not chosen, the first line still says $q \le z_j + M_j$, and $q$ is the
-# largest channel. So the constraint is silent for every $x$ of the set exactly if
+# How large must $M_j$ be? When channel $j$ is not chosen, the first line still requires $q \le z_j + M_j$, and $q$
+# equals the largest channel. So the constraint is inactive for every $x$ of the set if and only if
 #
-# $$ M_j \;\ge\; \max_{x} \Big( \max_i z_i(x) - z_j(x) \Big), $$
+# $$ M_j \;\ge\; \max_{x} \Big( \max_i z_i(x) - z_j(x) \Big). $$
 #
-# the furthest that channel $j$ ever falls behind the winner. For one neuron over an interval this is a maximum over the
-# two ends, for differences of affine functions are affine.
+# This is the largest difference between the largest channel and channel $j$. For one neuron over an interval, the
+# maximum is attained at one of the two ends, because differences of affine functions are affine.
 
 # %% tags=["nbval-check-output"]
 ends = np.array([-3.0, 3.0])[:, None] @ W.T + b
@@ -97,8 +97,8 @@ M_needed = (ends.max(axis=1, keepdims=True) - ends).max(axis=0)
 print("M_j that are just big enough:", M_needed.round(4))
 
 # %% [markdown]
-# Does the model do what it should? We fix $x$ and ask for the largest and the smallest $q$ that the constraints admit.
-# Both must be $g(x)$: then the constraints describe the graph of the neuron, no more and no less.
+# Is the model correct? We fix $x$ and compute the largest and the smallest $q$ that the constraints admit. Both must
+# equal $g(x)$. Then the constraints describe exactly the graph of the neuron.
 
 # %% tags=["nbval-check-output"]
 x, q = cp.Variable(1), cp.Variable()
@@ -115,13 +115,14 @@ for value in (-3.0, -1.0, 0.0, 1.875, 3.0):
 # %% [markdown]
 # ## 2. A network
 #
-# A maxout network is neurons upon neurons (eq. NN): the outputs $q^{(i-1)}$ of one layer are the inputs of the next,
-# and $\Phi(q^{(0)}) = W^{(\ell+1)} q^{(\ell)} + b^{(\ell+1)}$. So is the model. What changes is that a later layer's
-# input set is not given. A simple and safe answer is *interval arithmetic*: carry a lower and an upper limit of each
-# quantity through the network, and take $M_j = \max_i \overline{z}_i - \underline{z}_j$ from the channels' limits.
+# A maxout network is a composition of layers of such neurons (eq. (6), NN). The outputs $q^{(i-1)}$ of one layer are
+# the inputs of the next, and $\Phi(q^{(0)}) = W^{(\ell+1)} q^{(\ell)} + b^{(\ell+1)}$. The model is built layer by
+# layer in the same way. One thing changes: the input set of a later layer is not given. A simple and safe method is
+# *interval arithmetic*. It propagates a lower and an upper limit of each quantity through the network, and takes
+# $M_j = \max_i \overline{z}_i - \underline{z}_j$ from the limits of the channels.
 #
 # The network of this notebook has two inputs, two layers of three neurons with three channels each, and weights with
-# one decimal. Its output is unconstrained; a controller's must lie in $\mathcal{U}$, and that comes in part 4.
+# one decimal. Its output is not limited. The output of a controller must lie in $\mathcal{U}$; part 4 treats this.
 
 # %%
 rng = np.random.default_rng(10)
@@ -145,23 +146,24 @@ def interval(W, b, low, high):
 
 
 def big_M(net, F):
-    """For each layer an array (w, p): M_j = max_i upper limit of z_i - lower limit of z_j, by interval arithmetic."""
+    """M_j = max_i upper limit of z_i - lower limit of z_j by interval arithmetic, one array (w, p) per layer."""
     low, high = F.bounding_box()
     M = []
     for layer in net.hidden:
         z_low, z_high = (z.reshape(-1, layer.pool) for z in interval(layer.weight, layer.bias, low, high))
         M.append(z_high.max(axis=1, keepdims=True) - z_low)
-        low, high = z_low.max(axis=1), z_high.max(axis=1)  # of the neurons: eq. maxout
+        low, high = z_low.max(axis=1), z_high.max(axis=1)  # of the neurons: eq. (8), maxout
     return M
 
 
 # %% [markdown]
-# With the numbers at hand, eq. MI_Constraints_NN for the network is two nested loops, over layers $i$ and neurons $l$.
+# With these numbers, eq. (9), MI_Constraints_NN, for the whole network is two nested loops, over layers $i$ and neurons
+# $l$.
 
 
 # %%
 def maxout_network(x, net, M):
-    """Phi(x) as a cvxpy expression, and the constraints (eq. MI_Constraints_NN) that make it so."""
+    """Phi(x) as a cvxpy expression, and its constraints (eq. (9), MI_Constraints_NN)."""
     q, constraints = x, []  # q^(0) = x
     for layer, M_layer in zip(net.hidden, M):
         z, q = layer.weight @ q + layer.bias, cp.Variable(layer.width)
@@ -172,7 +174,7 @@ def maxout_network(x, net, M):
 
 
 def largest_output(net, F, M, **options):
-    """Solve max Phi(x) over x in F (one output): the problem, and the state that the solver names."""
+    """Solve max Phi(x) over x in F (one output): the problem, and the maximiser that the solver returns."""
     x = cp.Variable(net.input_size)
     u, constraints = maxout_network(x, net, M)
     problem = cp.Problem(cp.Maximize(u[0]), [F.H @ x <= F.h, *constraints])
@@ -181,8 +183,8 @@ def largest_output(net, F, M, **options):
 
 
 # %% [markdown]
-# The answer is the support function of the image $\Phi(\mathcal{F})$ along $v = 1$: a statement about infinitely many
-# states, from one mixed-integer linear program (MILP). Trying many states only ever gives a lower limit.
+# The result is the support function of the image $\Phi(\mathcal{F})$ along $v = 1$. One mixed-integer linear program
+# (MILP) gives a statement about infinitely many states. Sampling gives only a lower bound.
 
 # %% tags=["nbval-check-output"]
 problem, best = largest_output(net, F, big_M(net, F))
@@ -192,10 +194,10 @@ print(f"its state, tried:  Phi({np.round(best, 3) + 0.0}) = {net(best)[0]:.4f}")
 print(f"20,000 states:     Phi never exceeds the MILP's value: {bool((net(tried) <= problem.value + 1e-6).all())}")
 
 # %% [markdown]
-# ### What it costs: counting binaries
+# ### How many binaries?
 #
-# There is one $\delta_j$ for each channel of each neuron, so a network has $\sum_i p_i w_i$ of them. `net.binaries`
-# counts what it is given, saturation layers included (two neurons with two channels for each entry of $u$).
+# There is one $\delta_j$ per channel of each neuron, so a network has $\sum_i p_i w_i$ of them. `net.binaries` counts
+# them for the given network, including its saturation layers (two neurons with two channels for each entry of $u$).
 
 # %% tags=["nbval-check-output"]
 shapes = {"this notebook": net} | {name: mr.case_study(name).network for name in ("pwa", "double_integrator")}
@@ -205,14 +207,15 @@ for name, network in shapes.items():
     print(f"{name:>18}: {sizes} = {network.binaries} binaries, {choices:.1e} choices of channels")
 
 # %% [markdown]
-# $\prod_i p_i^{w_i}$ choices of channels would be hopeless to try one by one. Branch and bound does not: it solves
-# linear programs in which the binaries may be fractions, and drops every branch whose bound shows that it cannot win.
-# How well that works is decided by how good these bounds are, and so by the big-$M$: part 4.
+# There are $\prod_i p_i^{w_i}$ choices of channels, far too many to enumerate. Branch and bound avoids the enumeration.
+# It solves linear programs in which the binaries may take fractional values, and it prunes every branch whose bound
+# shows that it cannot contain the maximum. The efficiency depends on the quality of these bounds, and so on the big-$M$
+# (part 4).
 #
 # ## 3. Break it: a big-$M$ that is too small
 #
-# The paper's constraints have one number $\overline{b}^{(i)}$ for a layer; many implementations use one for everything.
-# Let us take a single $M$ for all rows and make it smaller and smaller.
+# The paper's constraints have one number $\overline{b}^{(i)}$ per layer; many implementations use one number for
+# everything. We take a single $M$ for all rows and decrease it.
 
 # %% tags=["nbval-check-output"]
 same = lambda M: [np.full((layer.width, layer.pool), M) for layer in net.hidden]  # noqa: E731
@@ -222,10 +225,10 @@ for M, (claim, _) in claims.items():
     print(f"M = {M:4.0f}:  " + (f"Phi <= {claim.value:.4f}" if claim.status == "optimal" else claim.status))
 
 # %% [markdown]
-# Nothing warns us. The solver reports *optimal*, its state is a real state, and the network really has that output
-# there. Only: from some $M$ on, the value is no upper bound any more. What happened? A state $x$ has a feasible
-# $(q, \delta)$ only if no channel of any neuron is further behind its winner than $M$ allows. All other states have
-# silently been cut out of $\mathcal{F}$. We can compute what each state needs:
+# There is no warning. The solver reports *optimal*, its state is a valid state, and the network has exactly this output
+# there. But from some $M$ on, the value is no longer an upper bound. The reason: a state $x$ has a feasible
+# $(q, \delta)$ only if no channel of any neuron is below its largest channel by more than $M$. All other states are
+# removed from $\mathcal{F}$ without a warning. We can compute the $M$ that each state requires:
 
 # %% tags=["nbval-check-output"]
 axis = np.linspace(-4, 4, 161)
@@ -254,20 +257,21 @@ ax.legend(handles, names, loc="upper left", bbox_to_anchor=(1.02, 1), frameon=Fa
 plt.show()
 
 # %% [markdown]
-# With $M = 4$ the constraints have no solution at any hatched state, with $M = 6$ at none of the densely hatched ones.
-# The star, where $\Phi$ is largest, lies there. So the models answer for what is left, and that is what they find.
-# $M = 8$ still gave the right value, by luck: it cuts states off too, only not this one.
+# With $M = 4$ the constraints have no solution at any hatched state. With $M = 6$ they have none at the densely hatched
+# states. The star, where $\Phi$ is largest, lies there. So the models return the maximum over the remaining states.
+# $M = 8$ still gives the right value by chance: it also removes states, but not this one.
 #
 # In a reachability analysis this is the worst kind of error. The set $\overline{\mathcal{R}}_1(\mathcal{F})$ is built
-# from such maxima; a maximum that is too small gives a set that is too small, and *"RPI: proven"* for a set that states
-# leave. A big-$M$ that is too small is **unsound**.
+# from such maxima. A maximum that is too small gives a set that is too small, and then *"RPI: proven"* for a set that
+# trajectories leave. A big-$M$ that is too small is **unsound**.
 #
-# ## 4. What a big-$M$ that is too large costs
+# ## 4. The cost of a big-$M$ that is too large
 #
 # ### It makes the relaxation loose
 #
-# Branch and bound starts from the *relaxation*: $\delta \in [0, 1]$ instead of $\{0, 1\}$. What does that leave of the
-# neuron of part 1? For every $x$, the relaxed constraints admit an interval of $q$, from the graph itself up to this:
+# Branch and bound starts from the *relaxation*: $\delta \in [0, 1]$ instead of $\{0, 1\}$. How does the relaxation
+# describe the neuron of part 1? For every $x$, the relaxed constraints admit an interval of $q$, from the graph itself
+# up to this upper limit:
 
 
 # %%
@@ -296,8 +300,8 @@ plt.show()
 
 # %% [markdown]
 # With $\delta$ relaxed, everything between the black graph and a coloured line is feasible. Even the smallest sound $M$
-# leaves a gap, and the gap grows with $M$. In the network, gaps of the first layer enter the second, and the bound from
-# which branch and bound starts becomes useless:
+# leaves a gap, and the gap grows with $M$. In the network, gaps of the first layer enter the second layer. The initial
+# bound of branch and bound then becomes useless:
 
 # %% tags=["nbval-check-output"]
 for factor in (1, 10, 100, 1000):
@@ -305,15 +309,16 @@ for factor in (1, 10, 100, 1000):
     print(f"{factor:5d} M:  relaxation Phi <= {relaxed.value:10.1f}   (true: {problem.value:.3f})")
 
 # %% [markdown]
-# The truth is 1.763, and the solver starts its proof from 13.1, or from 14,491. (HiGHS is good at repairing such
-# models: its presolve finds smaller big-$M$ by itself, so that small networks are still solved in no time. In larger
-# ones the bounds decide about the time: part 5.)
+# The true value is 1.763, but the solver starts from the bound 13.1, or from 14,491. (The presolve of HiGHS tightens
+# the big-$M$ of such models by itself, so it still solves small networks quickly. In larger networks the bounds
+# determine the time; see part 5.)
 #
 # ### It makes the answer wrong
 #
-# A solver works with floating-point numbers: to HiGHS, a binary within $10^{-6}$ of 0 or 1 *is* 0 or 1. In
-# $q \le z_j + M (1 - \delta_j)$ this tolerance is multiplied by $M$. Here is a point of our neuron at $x = 0$ for
-# $M = 10^6$, found by hand. It is "integral", it satisfies every row, and its $q$ is twice the neuron's output.
+# A solver works with floating-point numbers. HiGHS accepts a binary within $10^{-6}$ of 0 or 1 as integral. In
+# $q \le z_j + M (1 - \delta_j)$ this tolerance is multiplied by $M$. The next cell shows a point of our neuron at
+# $x = 0$ for $M = 10^6$, found by hand. It is "integral", it satisfies every row, and its $q$ is twice the neuron's
+# output.
 
 # %% tags=["nbval-check-output"]
 M, x0, q0 = 1e6, np.array([0.0]), 1.0
@@ -325,8 +330,8 @@ print(f"furthest from an integer:        {np.abs(delta0 - delta0.round()).max():
 print(f"q = {q0}, but the neuron gives:   {z0.max():.1f}")
 
 # %% [markdown]
-# Will a solver really return such a point? It will if it gains by it. Let us saturate the network, as a controller must
-# be (Sec. II.A wants $\Phi(x) \in \mathcal{U}$: two more layers clip the output to $[-2, 2]$), and ask again.
+# Does a solver really return such a point? It may, if the objective improves. We saturate the network, as a controller
+# must be (Sec. II.A requires $\Phi(x) \in \mathcal{U}$; two more layers clip the output to $[-2, 2]$), and solve again.
 
 # %%
 controller = net.saturate(-2.0, 2.0)
@@ -337,89 +342,93 @@ for factor in (1, 1e3, 1e6, 1e7, 1e8):
     print(f"{factor:8.0e}  {claim.status:>12} {claim.value:15.4f} {controller(state)[0]:18.4f} {off:30.1e}")
 
 # %% [markdown]
-# With the version of HiGHS that ran here, rows with a large $M$ are wrong: the solver calls 2 *optimal*, and the
-# network's output at the solver's own state is something else. This error is on the safe side, for what leaks through a
-# tolerance makes the feasible set larger. But a witness that is none refutes nothing, and sets that are too large may
-# keep you from finding a safe set that exists. Three habits follow:
+# With the version of HiGHS that ran here, the rows with a large $M$ give a wrong result. The solver reports 2 as
+# *optimal*, but the network has a different output at the solver's own state. This error is on the safe side, because
+# the tolerance only enlarges the feasible set. But an invalid witness refutes nothing, and sets that are too large may
+# keep you from finding a safe set that exists. Three rules follow:
 #
-# - take $M$ from bounds, row by row, never "some large number";
-# - *replay* what a solver names: evaluate the true network at its state (this package does so for every witness);
-# - know your solver's tolerances, and multiply them by $M$.
+# - Compute $M$ from bounds, row by row. Never choose "some large number".
+# - *Replay* the solver's result: evaluate the true network at the returned state. This package does so for every
+#   witness.
+# - Know your solver's tolerances, and multiply them by $M$.
 #
-# ## 5. Where this package takes its big-$M$ from
+# ## 5. How this package chooses its big-$M$
 #
-# The engine `milp` builds the same constraints, but looks for the smallest $M$ it can prove. Bounds by `"interval"` are
-# those of part 2. With bounds by `"lp"`, what has been built so far, its binaries relaxed, is used as a linear program
-# that bounds the next difference of channels $z_i - z_j$ over $\mathcal{F}$. A channel that provably never wins gets no
-# binary at all, and neither does a mode that is never met. Let us see for the 5x5 network of the second case study in
-# closed loop with its plant, over the box $\mathcal{F} = \frac{1}{2} \mathcal{X}$ (the nine modes of the plant bring
-# nine binaries more; notebook 03 is about these).
+# The engine `milp` builds the same constraints, but computes the smallest $M$ that it can prove. The bounds
+# `"interval"` are those of part 2. With the bounds `"lp"`, the constraints built so far, with relaxed binaries, serve
+# as a linear program. It bounds the next difference of channels $z_i - z_j$ over $\mathcal{F}$. A channel that provably
+# is never the largest gets no binary. The same holds for a mode that is never active. We compare both for the 5x5
+# network of the second case study in closed loop with its plant, over the box $\mathcal{F} = \frac{1}{2} \mathcal{X}$.
+# (The nine modes of the plant add nine binaries; see notebook 03.)
 
 # %%
-from mireach.engines.milp import engine as milp
+from mireach.engines.milp.formulation import build
 
 loop = mr.case_study("double_integrator").loop
 half = loop.system.state_set.scale(0.5)
 v = np.array([[1.0, 0.0]])
 print(f"by the paper's count: {loop.network.binaries + len(loop.system.modes)} binaries")
 for bounds in ("interval", "lp"):
-    model = milp.build(loop, half, 1, bounds)
+    model = build(loop, half, 1, bounds)
     start = model.program.maximize(model.states[1], v[0]).value  # the relaxation
     print(f'bounds="{bounds}": {len(model.binaries)} binaries, relaxation {start:.4f}')
 
 # %% [markdown]
-# Bounds are the better, the smaller the set. So the engine goes one step further, unless it is told to keep to one
-# model for the whole set (`formulation="whole"`): it halves $\mathcal{F}$ again and again. On small boxes few channels
-# are left that may win, boxes that cannot hold the maximum are dropped, and a handful of binaries remains for each of
-# the others (`formulation="split"`). On the clock:
+# The bounds are tighter for smaller sets. The engine uses this, unless you request one model for the whole set
+# (`mr.Milp("whole")`). It halves $\mathcal{F}$ repeatedly (`mr.Milp("split")`). On a small box only few channels
+# can be the largest. Boxes that cannot contain the maximum are dropped, and each remaining box needs only a handful of
+# binaries. The times:
 
 # %%
 from time import perf_counter
 
 ways = {
-    "one model, interval": {"engine": "milp", "formulation": "whole", "bounds": "interval"},
-    "one model, lp": {"engine": "milp", "formulation": "whole", "bounds": "lp"},
-    "split": {"engine": "milp", "formulation": "split"},  # what engine="milp" does by itself
-    "cells": {"engine": "cells"},
+    "one model, interval": mr.Milp("whole", bounds="interval"),
+    "one model, lp": mr.Milp("whole", bounds="lp"),
+    "split": mr.Milp("split"),  # the default of engine="milp"
+    "cells": mr.Cells(),
 }
 values = []
-for name, options in ways.items():
+for name, engine in ways.items():
     begin = perf_counter()
-    values.append(mr.support(loop, half, v, **options).bound[0])
+    values.append(mr.support(loop, half, v, engine=engine).bound[0])
     print(f"{name:>19}: h(v) <= {values[-1]:.6f} in {perf_counter() - begin:.2f} s")
 
 # %% tags=["nbval-check-output"]
 print("all four agree to 1e-5:", bool(np.ptp(values) < 1e-5))
 
 # %% [markdown]
-# The same maximum, from fewer binaries and a tighter start. The last of the four is another engine altogether: it cuts
-# the plane into the pieces on which the loop is affine (notebook 10), and needs no big-$M$ and no binaries. That it
-# agrees with the MILP is a check that neither could give alone.
+# All give the same maximum, the later ones from fewer binaries and a tighter initial bound. The last of the four is a
+# different engine: it divides the plane into the cells on which the loop is affine (notebook 10), and needs neither a
+# big-$M$ nor binaries. The two engines are independent, so their agreement is a check that neither could give alone.
 #
 # ## What you saw
 #
-# - A maxout neuron is three lines of constraints: at least every channel, at most the chosen one, choose one.
-# - A network needs $\sum_i p_i w_i$ binaries; the MILP's optimum is a statement about *all* states of a set.
-# - The smallest sound $M_j$ is the furthest that channel $j$ falls behind the winner. Smaller: states vanish without a
-#   word, the value is too small, and what is proven with it is false. Larger: loose relaxation; much larger: the
-#   solver's tolerance times $M$ is an error in the network's output.
+# - A maxout neuron needs three lines of constraints: at least every channel, at most the chosen one, choose exactly
+#   one.
+# - A network needs $\sum_i p_i w_i$ binaries. The optimum of the MILP is a statement about *all* states of a set.
+# - The smallest sound $M_j$ is the largest amount by which channel $j$ is below the largest channel. With a smaller
+#   $M_j$, states are lost without a warning, the value is too small, and a proof that uses it is invalid. With a larger
+#   $M_j$, the relaxation is loose. With a much larger one, the solver's tolerance times $M$ becomes an error in the
+#   network's output.
 # - Bounds over the current $\mathcal{F}$ instead of over $\mathcal{X}$ save binaries and tighten the relaxation.
 #
 # ## On your own
 #
 # - Write a ReLU network with this notebook's functions (channels $z$ and $0$). How many of its binaries could you save?
-# - Replace `interval` by two small LPs for each channel difference, over the relaxation of the layers before.
-#   How much smaller do the $M_j$ of the second layer become?
+# - Replace `interval` by two small LPs for each channel difference, over the relaxation of the layers before. How much
+#   smaller do the $M_j$ of the second layer become?
 # - Shrink `F` step by step to the origin. When does the first binary become superfluous?
-# - Use another solver that cvxpy knows (`cp.installed_solvers()`) in part 4. Which of them is fooled, and when?
+# - Use another solver that cvxpy supports (`cp.installed_solvers()`) in part 4. Which of them returns a wrong value,
+#   and when?
 #
 # **Exercise:** `exercises/ex02`. **Next:** notebook 03 writes the plant in the same way.
 #
 # ## Further reading
 #
-# - [Teichrib2025], Sec. II.A: the constraints, and where they come from.
+# - [Teichrib2025], Sec. II.A: the constraints, and their sources.
 # - [Goodfellow2013]: maxout networks.
 # - R. Anderson, J. Huchette, W. Ma, C. Tjandraatmadja, J. P. Vielma: *Strong mixed-integer programming formulations for
-#   trained neural networks*, Mathematical Programming 183, 2020: what can be had beyond a good big-$M$.
+#   trained neural networks*, Mathematical Programming 183, 2020: formulations that are tighter than a good big-$M$.
 # - V. Tjeng, K. Xiao, R. Tedrake: *Evaluating robustness of neural networks with mixed integer programming*, ICLR 2019:
 #   how bounds of neurons are tightened step by step.

@@ -11,17 +11,16 @@
 # %% [markdown]
 # # Write a piecewise-affine system as mixed-integer constraints
 #
-# **What you will do.** Look at the four-mode system of the first case study: its regions, what each mode does to them,
+# **What you will do.** Look at the four-mode system of the first case study: its regions, their images under each mode,
 # and the jumps at their boundaries. Then write "choose the right mode and apply it" as linear constraints with binary
-# variables, in cvxpy, and let a solver find the extreme next states over a whole set.
+# variables in cvxpy. A solver then finds the extreme next states over a whole set.
 #
-# **What you will learn.** What eq. gammaForR and eq. MISys say line by line; what the model does at a boundary, where
-# two modes apply (it sees both, and it must); how the big-$M$ follows from the sets; and that regions may depend on the
-# input as well.
+# **What you will learn.** The meaning of eq. (10), gammaForR, and eq. (12), MISys, line by line. Why the model must
+# include both modes at a boundary. How the big-$M$ follows from the sets. How regions may also depend on the input.
 #
 # **What you need.** Notebooks 01 and 02.
 #
-# *Run all* takes about a quarter of a minute.
+# *Run all* takes about 15 seconds.
 
 # %%
 import cvxpy as cp
@@ -35,14 +34,14 @@ from mireach.systems.plants import pwa_plant
 # %% [markdown]
 # ## 1. The system
 #
-# Without disturbance (they come in notebook 04), **eq. SysWithDis** reads
+# Without disturbance (notebook 04 adds it), **eq. (1), SysWithDis**, reads
 #
 # $$ x(k+1) = f_{\text{PWA}}(x(k), u(k)) = A^{(i)} x(k) + B^{(i)} u(k) + p^{(i)}
 #    \quad \text{if } \begin{pmatrix} x(k) \\ u(k) \end{pmatrix} \in \mathcal{P}^{(i)}, $$
 #
-# and **eq. HRep** writes each region as $\mathcal{P}^{(i)} = \{\xi : H^{(i)} \xi \le h^{(i)}\}$ with $\xi = (x, u)$. In
-# the first case study there are $s = 4$ modes, one for each quadrant of the plane, with $B = (1, 0)^\top$ and $p = 0$
-# in all of them, on $|x|_\infty \le 10$, $|u| \le 1$.
+# and **eq. (2), HRep**, describes each region as $\mathcal{P}^{(i)} = \{\xi : H^{(i)} \xi \le h^{(i)}\}$ with
+# $\xi = (x, u)$. The first case study has $s = 4$ modes, one for each quadrant of the plane. All of them have
+# $B = (1, 0)^\top$ and $p = 0$, and the constraints are $|x|_\infty \le 10$ and $|u| \le 1$.
 
 # %% tags=["nbval-check-output"]
 plant = pwa_plant(disturbance_bound=0.0)
@@ -52,11 +51,11 @@ for i, mode in enumerate(plant.modes, start=1):
     )
 
 # %% [markdown]
-# The third column of each $H^{(i)}$ belongs to $u$ and is zero: these regions depend on $x$ only. The next figure shows
-# them, and what each mode does to its own region for $u = 0$.
+# The third column of each $H^{(i)}$ belongs to $u$ and is zero, so these regions depend on $x$ only. The next figure
+# shows the regions, and the image of each region under its own mode for $u = 0$.
 
 # %%
-STYLES = [  # one a mode
+STYLES = [  # one per mode
     {"facecolor": f"{colour}44", "edgecolor": colour, "hatch": hatch, "linewidth": 1.5}
     for colour, hatch in ((BLUE, "//"), (ORANGE, "\\\\"), (GREEN, ".."), (RED, "xx"))
 ]
@@ -84,13 +83,14 @@ fig.legend(loc="outside lower center", ncols=4, frameon=False)
 plt.show()
 
 # %% [markdown]
-# The regions fit together without gaps; their images do not. They overlap, they leave gaps, and some leave
-# $\mathcal{X}$ (mode 3 reaches beyond $-10$ in $x_2^+$).
+# The regions cover $\mathcal{X}$ without gaps. Their images do not: they overlap, they leave gaps, and some extend
+# beyond $\mathcal{X}$ (mode 3 leads below $-10$ in $x_2^+$).
 #
 # ## 2. Jumps at the boundaries
 #
-# Neighbours share a boundary: $(4, 0)$ lies in region 1 and in region 2, for regions are closed. The two modes need not
-# agree there, and in this system they do not. How far apart are they, one unit away from the origin?
+# Neighbouring regions share a boundary. For example, $(4, 0)$ lies in region 1 and in region 2, because regions are
+# closed. The two modes need not agree there, and in this system they do not. We compute their difference at a distance
+# of one from the origin.
 
 # %% tags=["nbval-check-output"]
 half_axes = {(1, 0): (1, 2), (0, 1): (1, 4), (-1, 0): (3, 4), (0, -1): (2, 3)}  # and the modes that meet there
@@ -115,25 +115,25 @@ fig.legend(loc="outside lower center", ncols=4, frameon=False)
 plt.show()
 
 # %% [markdown]
-# Each boundary point has two successors: a full marker for the mode named first, an open one for the other, joined by
-# a dotted line. (Those of mode 1 on the positive $x_1$ axis are the short tail below the origin.) All modes map the
-# origin to itself for $u = 0$, so there is no jump there; it grows with the distance.
+# Each boundary point has two successors, joined by a dotted line. A full marker shows the mode named first, an open one
+# the other. (For mode 1 on the positive $x_1$ axis they form the short tail below the origin.) All modes map the origin
+# to itself for $u = 0$, so there is no jump there. The jump grows with the distance from the origin.
 #
-# Which of the two is *the* successor? The equation does not say, and no measured or computed state is known to be
-# exactly on a boundary: it may fall on either side, by rounding or by an arbitrarily small disturbance. So whoever
-# wants to prove something about the system takes **both**. A set that is proven safe with one value only need not be
+# Which of the two is *the* successor? The equation does not determine it. A measured or computed state is never known
+# to lie exactly on a boundary: rounding or an arbitrarily small disturbance may move it to either side. A proof about
+# the system must therefore include **both** successors. A set that is proven safe with only one of them need not be
 # safe.
 #
-# ## 3. Choose a region: eq. gammaForR
+# ## 3. Choose a region: eq. (10), gammaForR
 #
-# One binary $\gamma_i$ for each mode; **eq. gammaForR**, for all $i$:
+# There is one binary $\gamma_i$ per mode. **Eq. (10), gammaForR**, for all $i$:
 #
 # $$ H^{(i)} \begin{pmatrix} x(k) \\ u(k) \end{pmatrix} \le h^{(i)} + \mathbf{1} M (1 - \gamma_i(k)), \qquad
 #    \mathbf{1}^\top \gamma(k) = 1, \quad \gamma(k) \in \{0, 1\}^s . $$
 #
-# $\gamma_i = 1$ puts $(x, u)$ into $\mathcal{P}^{(i)}$; $\gamma_i = 0$ must say nothing, for any $(x, u)$ in
-# $\mathcal{X} \times \mathcal{U}$. As [Bemporad1999] does it, $M$ is therefore the largest value of the row's own left
-# side minus right side, and that is a support function:
+# $\gamma_i = 1$ enforces $(x, u) \in \mathcal{P}^{(i)}$. $\gamma_i = 0$ must not restrict $(x, u)$ within
+# $\mathcal{X} \times \mathcal{U}$. Therefore, as in [Bemporad1999], $M$ is the largest value of left-hand side minus
+# right-hand side of this row. This is a support function:
 #
 # $$ M = h_{\mathcal{X} \times \mathcal{U}}(H^{(i)}_r) - h^{(i)}_r \quad \text{for row } r . $$
 
@@ -142,18 +142,18 @@ XU = plant.state_set.product(plant.input_set)
 
 
 def choose_region(xi, system, XU):
-    """gamma, one binary a mode, and the constraints that put xi = (x, u) into the chosen region (eq. gammaForR)."""
+    """gamma, one binary per mode, and constraints: xi = (x, u) lies in the chosen region (eq. (10), gammaForR)."""
     gamma = cp.Variable(len(system.modes), boolean=True)
     constraints = [cp.sum(gamma) == 1]
     for on, mode in zip(gamma, system.modes):
         H, h = mode.region.H, mode.region.h
-        M = np.maximum(XU.support(H) - h, 0)  # one number a row
+        M = np.maximum(XU.support(H) - h, 0)  # one number per row
         constraints.append(H @ xi <= h + cp.multiply(M, 1 - on))
     return gamma, constraints
 
 
 # %% [markdown]
-# Which modes may be chosen at a given point? We fix $\xi$ and try each of them.
+# Which modes are feasible at a given point? We fix $\xi$ and try each of them.
 
 # %% tags=["nbval-check-output"]
 xi, xi_fixed, which = cp.Variable(3), cp.Parameter(3), cp.Parameter(4)
@@ -175,31 +175,31 @@ for point in ([3, 2, 0.5], [-3, 2, 0.5], [4, 0, 0.5], [0, -5, 0.5], [0, 0, 0.5])
     print(f"x = {point[:2]!s:>7}, u = {point[2]}: modes {modes_at(point)}")
 
 # %% [markdown]
-# Inside a region there is one choice. On a boundary there are two, at the origin four, and the constraints leave it
-# open. The paper sums this up as $\gamma_i = 1 \Leftrightarrow (x, u) \in \mathcal{P}^{(i)}$ (eq. GammaXinP). Read it
-# as "$\gamma_i = 1$ is *possible* exactly if $(x, u) \in \mathcal{P}^{(i)}$", for only one $\gamma_i$ can be 1 at a
-# time.
+# Inside a region one mode is feasible, on a boundary two, and at the origin four. The constraints do not choose between
+# them. The paper states this as $\gamma_i = 1 \Leftrightarrow (x, u) \in \mathcal{P}^{(i)}$ (eq. (11), GammaXinP). Only
+# one $\gamma_i$ can be 1 at a time, so the statement means: $\gamma_i = 1$ is *feasible* if and only if
+# $(x, u) \in \mathcal{P}^{(i)}$.
 #
-# ## 4. Apply its dynamics: eq. MISys
+# ## 4. Apply its dynamics: eq. (12), MISys
 #
-# Now each mode gets a copy $\tilde{x}^{(i)}(k+1)$ of the next state, which is the successor if $\gamma_i = 1$, and zero
-# if not. The next state is their sum. **Eq. MISys**, for all $i$:
+# Each mode has a copy $\tilde{x}^{(i)}(k+1)$ of the next state. The copy equals the successor if $\gamma_i = 1$, and
+# zero otherwise. The next state is the sum of the copies. **Eq. (12), MISys**, for all $i$:
 #
 # $$ \begin{aligned}
 # -\mathbf{1} M (1 - \gamma_i(k)) \le A^{(i)} x(k) + B^{(i)} u(k) + p^{(i)} - \tilde{x}^{(i)}(k+1)
-#     &\le \mathbf{1} M (1 - \gamma_i(k)), && \text{(MI\_PWA\_ABp)} \\
-# -\mathbf{1} M \gamma_i(k) \le \tilde{x}^{(i)}(k+1) &\le \mathbf{1} M \gamma_i(k), && \text{(MI\_PWA\_xTilde)} \\
-# x(k+1) &= \textstyle\sum_{j=1}^{s} \tilde{x}^{(j)}(k+1). && \text{(MI\_PWA\_sumXTilde)}
+#     &\le \mathbf{1} M (1 - \gamma_i(k)), && \text{(12a, MI\_PWA\_ABp)} \\
+# -\mathbf{1} M \gamma_i(k) \le \tilde{x}^{(i)}(k+1) &\le \mathbf{1} M \gamma_i(k), && \text{(12b, MI\_PWA\_xTilde)} \\
+# x(k+1) &= \textstyle\sum_{j=1}^{s} \tilde{x}^{(j)}(k+1). && \text{(12c, MI\_PWA\_sumXTilde)}
 # \end{aligned} $$
 #
-# For a mode that is off, $\tilde{x}^{(i)} = 0$, and the first line must be silent: $M$ is at least
-# $|A^{(i)} x + B^{(i)} u + p^{(i)}|$ over $\mathcal{X} \times \mathcal{U}$, for each component. That also suffices for
-# a mode that is on.
+# For an inactive mode $\tilde{x}^{(i)} = 0$, and the first line must not restrict $(x, u)$. So $M$ must be at least
+# $|A^{(i)} x + B^{(i)} u + p^{(i)}|$ over $\mathcal{X} \times \mathcal{U}$, for each component. This $M$ also suffices
+# for the active mode.
 
 
 # %%
 def pwa_step(x, u, system, XU):
-    """x(k+1) as a cvxpy expression, gamma, and the constraints (eqs. gammaForR, MISys) that make it f_PWA(x, u)."""
+    """x(k+1) = f_PWA(x, u) as a cvxpy expression, gamma, and the constraints of eqs. (10), gammaForR; (12), MISys."""
     xi = cp.hstack([x, u])
     gamma, constraints = choose_region(xi, system, XU)
     parts = []
@@ -208,11 +208,11 @@ def pwa_step(x, u, system, XU):
         M = np.maximum(XU.support(AB) + mode.p, XU.support(-AB) - mode.p)  # |A x + B u + p| <= M
         rest = AB @ xi + mode.p - part
         constraints += [
-            -M * (1 - on) <= rest, rest <= M * (1 - on),  # eq. MI_PWA_ABp
-            -M * on <= part, part <= M * on,  # eq. MI_PWA_xTilde
+            -M * (1 - on) <= rest, rest <= M * (1 - on),  # eq. (12a), MI_PWA_ABp
+            -M * on <= part, part <= M * on,  # eq. (12b), MI_PWA_xTilde
         ]  # fmt: skip
         parts.append(part)
-    return sum(parts), gamma, constraints  # eq. MI_PWA_sumXTilde
+    return sum(parts), gamma, constraints  # eq. (12c), MI_PWA_sumXTilde
 
 
 def extremes(system, XU, V, *more):
@@ -230,7 +230,7 @@ def extremes(system, XU, V, *more):
 # %% [markdown]
 # ### At a boundary point the model finds both values
 #
-# We fix $x = (4, 0)$ and $u = 0.5$ and ask for the largest and the smallest $x_1^+$, and the same for $x_2^+$.
+# We fix $x = (4, 0)$ and $u = 0.5$, and compute the largest and the smallest $x_1^+$, and the same for $x_2^+$.
 
 # %% tags=["nbval-check-output"]
 x0, u0 = np.array([4.0, 0.0]), np.array([0.5])
@@ -242,8 +242,8 @@ for i in (0, 1):
     print(f"MILP:  x{i + 1}+ from {bottom[i]:.4f} to {top[i]:.4f}")
 
 # %% [markdown]
-# Both are there. Is what lies *between* them feasible, too? It must not be: the reachable set of this point is two
-# points, not the segment.
+# The model finds both. Are the values *between* them feasible, too? They must not be: the reachable set of this point
+# consists of two points, not of a segment.
 
 # %% tags=["nbval-check-output"]
 x, u = cp.Variable(2), cp.Variable(1)
@@ -255,9 +255,9 @@ for name, target in (("mode 1's", both[0]), ("half way", both.mean(axis=0)), ("m
     print(f"{name} successor: {problem.status}")
 
 # %% [markdown]
-# All engines of this package answer in the same way. Here with a controller that always gives $u = 0.5$ (a network
-# without hidden layers), and $\mathcal{F}$ a single point. The method `step`, which simulates, has to take one value;
-# it takes the first mode's.
+# All engines of this package give the same result. In the next cell the controller always gives $u = 0.5$ (a network
+# without hidden layers), and $\mathcal{F}$ is a single point. The method `step`, which simulates, must choose one
+# value. It takes the value of the first mode.
 
 # %% tags=["nbval-check-output"]
 loop = mr.ClosedLoop(plant, mr.MaxoutNetwork([], np.zeros((1, 2)), u0))
@@ -270,9 +270,9 @@ print("step:", loop.step(x0).round(4))
 # %% [markdown]
 # ### Over a set
 #
-# With $x \in \mathcal{F}$ in place of $x = x_0$ the MILP gives the support function of the set of all successors. Take
-# $\mathcal{F} = [3, 5] \times [-1, 1]$, which lies astride the boundary of the modes 1 and 2, and all $u \in
-# \mathcal{U}$. We ask in the 8 directions of the paper and draw the template set of the answers.
+# With $x \in \mathcal{F}$ instead of $x = x_0$, the MILP gives the support function of the set of all successors. Take
+# $\mathcal{F} = [3, 5] \times [-1, 1]$, which contains part of the boundary between the modes 1 and 2, and all
+# $u \in \mathcal{U}$. We compute it in the paper's 8 directions and draw the resulting template set.
 
 # %% tags=["nbval-check-output"]
 F, C = mr.Polytope.box([3, -1], [5, 1]), mr.directions(8)
@@ -293,13 +293,14 @@ ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
 plt.show()
 
 # %% [markdown]
-# The successors of $\mathcal{F}$ form two pieces that do not touch, since the map jumps across the boundary. The
-# template set, made of the MILP's eight answers, touches the pieces from outside in each direction; it is convex, so it
-# also covers the gap between them. This is the price of polytopes; notebook 10 shows what is lost by it.
+# The successors of $\mathcal{F}$ form two disjoint pieces, because the map jumps across the boundary. The template set
+# from the eight values of the MILP touches the pieces from outside in each direction. It is convex, so it also covers
+# the gap between them. This is the price of using polytopes; notebook 10 shows how much it costs.
 #
 # ## 5. The big-$M$ again
 #
-# What [Bemporad1999] gives is not "a large number", but 10 for every row of eq. gammaForR, and these for eq. MISys:
+# In [Bemporad1999] the value of $M$ is not just "a large number". Here it is 10 for every row of eq. (10), gammaForR,
+# and for eq. (12), MISys, it is:
 
 # %% tags=["nbval-check-output"]
 for i, mode in enumerate(plant.modes, start=1):
@@ -307,15 +308,15 @@ for i, mode in enumerate(plant.modes, start=1):
     print(f"mode {i}: M of the region's rows {XU.support(mode.region.H)}, of the next state {XU.support(AB).round(3)}")
 
 # %% [markdown]
-# (All sets are symmetric about the origin here, so $M$ need be computed for one sign only.) What does a smaller $M$ do
-# in eq. gammaForR? A state in region 1 must also satisfy the *relaxed* rows of the three other regions: $x_1 \le M$,
-# $x_2 \le M$. With $M = 5$ only $|x|_\infty \le 5$ is left of $\mathcal{X}$, a quarter of its area, and the largest
-# $x_1^+$ comes out too small, again without any warning:
+# (All sets are symmetric about the origin here, so $M$ is needed for one sign only.) What happens with a smaller $M$ in
+# eq. (10), gammaForR? A state in region 1 must also satisfy the *relaxed* rows of the three other regions: $x_1 \le M$,
+# $x_2 \le M$. With $M = 5$ only the states with $|x|_\infty \le 5$ remain, a quarter of the area of $\mathcal{X}$. The
+# largest $x_1^+$ is then too small, again without any warning:
 
 
 # %% tags=["nbval-check-output"]
 def largest_next(M):
-    """max x1+ over X x U when every row of eq. gammaForR has the same M."""
+    """max x1+ over X x U when every row of eq. (10), gammaForR, has the same M."""
     x, u = cp.Variable(2), cp.Variable(1)
     after, gamma, constraints = pwa_step(x, u, plant, XU)
     for on, mode in zip(gamma, plant.modes):
@@ -330,9 +331,9 @@ for M in (20, 10, 8, 5, 1):
 # %% [markdown]
 # ## 6. Regions that depend on the input
 #
-# Nothing above needs regions of $x$ alone: the rows $H^{(i)}$ act on $(x, u)$. Think of a battery with charge
-# $x \in [0, 1]$ and power $u \in [-0.3, 0.3]$, a tenth of which is lost on the way in and out. A charger that would
-# lift the charge above 0.8 in this step halves its power:
+# Nothing above requires that the regions depend on $x$ alone: the rows $H^{(i)}$ act on $(x, u)$. As an example,
+# consider a battery with charge $x \in [0, 1]$ and power $u \in [-0.3, 0.3]$. A tenth of the power is lost when
+# charging and when discharging. If a step would raise the charge above 0.8, the charger halves its power:
 #
 # | mode | region | next charge |
 # |---|---|---|
@@ -354,8 +355,8 @@ XU_battery = battery.state_set.product(battery.input_set)
 controller = mr.MaxoutNetwork([], [[-2]], [1.8]).saturate(-0.3, 0.3)  # charge to 0.9
 
 # %% [markdown]
-# Which mode acts at a charge of 0.7 cannot be said without the power. Under a controller $u = \Phi(x)$ the system moves
-# along a curve through the plane of $x$ and $u$, and changes its mode where the curve crosses a boundary.
+# At a charge of 0.7, the active mode depends on the power. Under a controller $u = \Phi(x)$ the system moves along a
+# curve in the plane of $x$ and $u$. It changes its mode where the curve crosses a boundary.
 
 # %%
 xs = np.linspace(0, 1, 201)[:, None]
@@ -375,9 +376,10 @@ fig.legend(loc="outside lower center", ncols=4, frameon=False)
 plt.show()
 
 # %% [markdown]
-# Left: the regions in the plane of charge and power, and the controller. Right: the loop's next charge; below the thin
-# diagonal the charge falls. Where the curve crosses from mode 2 to mode 3, the next charge jumps; from mode 3 to
-# mode 1, at $u = 0$, both agree. The functions of parts 3 and 4 work on this system as they are, whichever $u$ comes:
+# Left: the regions in the plane of charge and power, and the controller. Right: the next charge of the loop. Below the
+# thin diagonal the charge falls. Where the curve crosses from mode 2 to mode 3, the next charge jumps. From mode 3 to
+# mode 1, at $u = 0$, both modes agree. The functions of parts 3 and 4 work for this system without changes, for any
+# $u$:
 
 # %% tags=["nbval-check-output"]
 rng, worst = np.random.default_rng(0), 0.0
@@ -393,28 +395,28 @@ print(f"all charges of [0, 1] go to [{-h[1]:.4f}, {h[0]:.4f}] in one step")
 # %% [markdown]
 # ## What you saw
 #
-# - Eq. gammaForR chooses a region, eq. MISys applies its dynamics; $s$ binaries a step, and every $M$ is a support
-#   function over $\mathcal{X} \times \mathcal{U}$.
+# - Eq. (10), gammaForR, chooses a region, and eq. (12), MISys, applies its dynamics. They need $s$ binaries per step,
+#   and every $M$ is a support function over $\mathcal{X} \times \mathcal{U}$.
 # - A piecewise-affine map may jump. On a boundary the model admits every mode that contains the point, and nothing
-#   between them; so must everything that claims to prove something.
-# - A big-$M$ that is too small in eq. gammaForR cuts states off that are far from the *other* regions.
-# - Regions in $(x, u)$ need nothing new.
+#   between their successors. Every method that proves something must do the same.
+# - A big-$M$ in eq. (10), gammaForR, that is too small removes states that are far from the *other* regions.
+# - Regions in $(x, u)$ need no changes.
 #
 # ## On your own
 #
-# - Where does the largest $x_1^+$ of part 5 come from? Let the solver name its $x$, $u$ and $\gamma$.
-# - Make $M$ in eq. MISys too small instead. Which states vanish now?
-# - Put `maxout_network` of notebook 02 between $x$ and $u$, with `mr.case_study("pwa").network`: you have written
-#   Lemma 2 without disturbance. Compare with `mr.support`.
-# - Change the battery's third mode so that its map no longer jumps between the modes 2 and 3. Is there an affine one
+# - Where does the largest $x_1^+$ of part 5 come from? Print the solver's $x$, $u$ and $\gamma$.
+# - Make $M$ in eq. (12), MISys, too small instead. Which states are lost now?
+# - Put `maxout_network` of notebook 02 between $x$ and $u$, with `mr.case_study("pwa").network`. This is Lemma 2
+#   without disturbance. Compare with `mr.support`.
+# - Change the battery's third mode so that its map no longer jumps between the modes 2 and 3. Is there an affine map
 #   that agrees with both neighbours?
 #
-# **Exercise:** `exercises/ex03`. **Next:** notebook 04 adds the disturbance and takes the step to reachable sets.
+# **Exercise:** `exercises/ex03`. **Next:** notebook 04 adds the disturbance and introduces reachable sets.
 #
 # ## Further reading
 #
 # - [Bemporad1999], Sec. 3.1: piecewise-affine systems as mixed logical dynamical systems, and the big-$M$.
 # - [Teichrib2025], Sec. II.B.
-# - [Mignone2000], Sec. 7: where the four modes come from.
+# - [Mignone2000], Sec. 7: the source of the four modes.
 # - T. Marcucci, R. Tedrake: *Mixed-integer formulations for optimal control of piecewise-affine systems*, HSCC 2019:
-#   formulations that are tighter than big-$M$, and what they cost.
+#   formulations that are tighter than big-$M$, and their cost.

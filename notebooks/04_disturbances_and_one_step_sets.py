@@ -11,12 +11,13 @@
 # %% [markdown]
 # # Add disturbances and compute one-step sets
 #
-# **What you will do.** Extend the mixed-integer model of notebook 03 by a disturbance whose set depends on the mode;
-# ask it for support functions of reachable sets; draw the reachable set and what templates make of it; and decide
-# whether a set is robustly positively invariant (RPI), with a counterexample where it is not.
+# **What you will do.** Extend the mixed-integer model of notebook 03 by a disturbance whose set depends on the mode.
+# Compute support functions of reachable sets with it. Draw the reachable set and its template over-approximations.
+# Decide whether a set is robustly positively invariant (RPI), with a counterexample if it is not.
 #
-# **What you will learn.** What eq. MISysWithDis adds to eq. MISys; what Lemmas 1 and 2 promise; why the paper prefers
-# $k$ small problems to one large one, and what this costs; how an RPI check is a handful of support functions.
+# **What you will learn.** What eq. (14), MISysWithDis, adds to eq. (12), MISys. What Lemmas 1 and 2 state. Why the
+# paper prefers $k$ small problems to one large one, and what this costs. How an RPI check consists of a few support
+# functions.
 #
 # **What you need.** Notebooks 01 to 03: support functions, templates, and the big-$M$ model of a piecewise-affine
 # system. "Run all" takes about 15 seconds.
@@ -41,14 +42,14 @@ print(f"{len(system.modes)} modes, |d| <= {case.disturbance_bound} in each, {loo
 # %% [markdown]
 # ## 1. A disturbance set for every mode
 #
-# The system of the paper (eq. SysWithDis) is
+# The system of the paper (eq. (1), SysWithDis) is
 #
 # $$x(k+1) = A^{(i)} x(k) + B^{(i)} u(k) + p^{(i)} + d(k), \qquad d(k) \in \mathcal{D}^{(i)}
-#   \quad\text{if}\quad \begin{pmatrix} x(k) \\ u(k) \end{pmatrix} \in \mathcal{P}^{(i)},$$
+#   \quad\text{if}\quad \begin{pmatrix} x(k) \\ u(k) \end{pmatrix} \in \mathcal{P}^{(i)}.$$
 #
-# and its second half is eq. dinDi: *which* disturbances may act depends on the region the system is in. In the case
-# study all four sets are the same small box. To see what the model can do, we take four large and different ones. A
-# segment is a disturbance that hits both states in a fixed ratio; a point is no disturbance at all.
+# By eq. (13), dinDi, the region of $(x, u)$ determines *which* disturbances are admissible. In the case study all four
+# sets are the same small box. To show what the model can do, we take four large and different sets. With a segment, the
+# disturbance acts on both states in a fixed ratio. With a point, it is constant; here it is zero.
 
 # %%
 box = mr.Polytope.box([-1.2, -0.6], [1.2, 0.6])
@@ -56,20 +57,21 @@ segment = mr.Polytope.from_points([[-1.5, -1.5], [1.5, 1.5]])
 point = mr.Polytope.box([0, 0], [0, 0])
 diamond = mr.Polytope.from_points([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
-plant = system.with_disturbance([box, segment, point, diamond])  # eq. dinDi
+plant = system.with_disturbance([box, segment, point, diamond])  # eq. (13), dinDi
 
 # %% [markdown]
-# Notebook 03 chose the mode by binaries $\gamma_i$ (eq. gammaForR), gave each mode its own copy $\tilde x^{(i)}$ of
-# the successor that is zero unless $\gamma_i = 1$ (eq. MI_PWA_xTilde), and summed the copies (eq. MI_PWA_sumXTilde).
-# All of this stays. **Eq. MISysWithDis** puts $d$ into the dynamics and makes its limits switch with the mode:
+# Notebook 03 chose the mode by binaries $\gamma_i$ (eq. (10), gammaForR). Each mode had its own copy $\tilde x^{(i)}$
+# of the successor, which is zero unless $\gamma_i = 1$ (eq. (12b), MI_PWA_xTilde), and the successor was the sum of the
+# copies (eq. (12c), MI_PWA_sumXTilde). All of this remains. **Eq. (14), MISysWithDis**, adds $d$ to the dynamics and
+# switches its limits with the mode:
 #
 # $$\begin{aligned}
 # -\mathbf{1} M (1 - \gamma_i) \le A^{(i)} x + B^{(i)} u + p^{(i)} + d - \tilde x^{(i)}
-#   &\le \mathbf{1} M (1 - \gamma_i) & &\mathtt{(MI\_PWA\_ABpd)} \\
-# H^{(\mathcal{D}^{(i)})} d &\le h^{(\mathcal{D}^{(i)})} + \mathbf{1} M (1 - \gamma_i) & &\mathtt{(MI\_PWA\_Hd)}
+#   &\le \mathbf{1} M (1 - \gamma_i) & &\text{(14a, MI\_PWA\_ABpd)} \\
+# H^{(\mathcal{D}^{(i)})} d &\le h^{(\mathcal{D}^{(i)})} + \mathbf{1} M (1 - \gamma_i) & &\text{(14b, MI\_PWA\_Hd)}
 # \end{aligned}$$
 #
-# There is one $d$ for all modes. The binary that selects the mode also selects which set $d$ has to lie in.
+# There is one $d$ for all modes. The binary that selects the mode also selects the set in which $d$ must lie.
 
 
 # %%
@@ -78,22 +80,22 @@ def disturbed_step(system, x, u, M=100.0):
     d, x_next = cp.Variable(2), cp.Variable(2)
     gamma = cp.Variable(len(system.modes), boolean=True)
     parts = [cp.Variable(2) for _ in system.modes]
-    constraints = [cp.sum(gamma) == 1, x_next == sum(parts)]  # eqs. gammaForR, MI_PWA_sumXTilde
+    constraints = [cp.sum(gamma) == 1, x_next == sum(parts)]  # eqs. (10), gammaForR and (12c), MI_PWA_sumXTilde
     for i, mode in enumerate(system.modes):
         D, off = mode.disturbance, M * (1 - gamma[i])
         gap = mode.A @ x + mode.B @ u + mode.p + d - parts[i]
-        constraints += [mode.region.H @ cp.hstack([x, u]) <= mode.region.h + off]  # eq. gammaForR
-        constraints += [-M * gamma[i] <= parts[i], parts[i] <= M * gamma[i]]  # eq. MI_PWA_xTilde
-        constraints += [-off <= gap, gap <= off]  # eq. MI_PWA_ABpd
-        constraints += [D.H @ d <= D.h + off]  # eq. MI_PWA_Hd
+        constraints += [mode.region.H @ cp.hstack([x, u]) <= mode.region.h + off]  # eq. (10), gammaForR
+        constraints += [-M * gamma[i] <= parts[i], parts[i] <= M * gamma[i]]  # eq. (12b), MI_PWA_xTilde
+        constraints += [-off <= gap, gap <= off]  # eq. (14a), MI_PWA_ABpd
+        constraints += [D.H @ d <= D.h + off]  # eq. (14b), MI_PWA_Hd
     return constraints, x_next, gamma
 
 
 # %% [markdown]
-# One common $M = 100$ is enough here, because nothing in this system grows beyond 40; notebook 02 showed what a big-$M$
-# costs when it is too small or too large. Now we fix a state and its input $u = \Phi(x)$ and push $x^+$ as far as it
-# goes along the eight directions of the template. What comes out is $h_{\mathcal{R}_1(\{x\})}(C)$, and by hand it
-# would be $C (A^{(i)} x + B^{(i)} u + p^{(i)}) + h_{\mathcal{D}^{(i)}}(C)$.
+# One common $M = 100$ is enough here, because nothing in this system exceeds 40. Notebook 02 showed the effect of a
+# big-$M$ that is too small or too large. Now we fix a state and its input $u = \Phi(x)$, and maximise $x^+$ along the
+# eight directions of the template. The result is $h_{\mathcal{R}_1(\{x\})}(C)$. It must equal
+# $C (A^{(i)} x + B^{(i)} u + p^{(i)}) + h_{\mathcal{D}^{(i)}}(C)$.
 
 # %% tags=["nbval-check-output"]
 C = mr.directions(8)
@@ -103,7 +105,7 @@ farthest = cp.Problem(cp.Maximize(v @ x_next), constraints)
 
 
 def one_step_support(state):
-    """h of R_1({state}) along the rows of C, one small MILP a row."""
+    """h of R_1({state}) along the rows of C, one small MILP per row."""
     x.value, u.value = np.array(state), loop.network(np.array(state))
     supports = []
     for v.value in C:
@@ -136,11 +138,11 @@ label_axes(ax, X, r"$\mathcal{R}_1^{\mathcal{D}}(\{x\})$ for one state in each r
 plt.show()
 
 # %% [markdown]
-# Each black state is carried along its dashed arrow, and around the place where it lands stands the set of its region:
-# a box, a segment, a single point, a diamond. The state decides the region, the region decides the disturbance.
+# Each dashed arrow leads from a state (black) to its undisturbed successor. Around the successor lies the disturbance
+# set of the state's region: a box, a segment, a single point, a diamond.
 #
 # The regions are closed, so on a boundary the binaries may choose. At $x = (0, -7)$ modes 2 and 3 both contain the
-# state. Their dynamics disagree there, and the model admits both successors:
+# state. Their dynamics differ there, and the model admits both successors:
 
 # %% tags=["nbval-check-output"]
 on_boundary = (0, -7)
@@ -151,22 +153,22 @@ for i in (1, 2):
 print("h along (1, 0), (0, 1), (-1, 0), (0, -1):", np.round(h_both[::2], 2))
 
 # %% [markdown]
-# The support along $(-1, 0)$ comes from mode 3 and the one along $(1, 0)$ from mode 2: a map that jumps is treated as
-# set-valued, so a verdict does not depend on which side a boundary point is counted to.
+# The support along $(-1, 0)$ comes from mode 3, and the one along $(1, 0)$ from mode 2. A map that jumps is treated as
+# set-valued, so a verdict does not depend on the side to which a boundary point is assigned.
 #
 # ## 2. Lemmas 1 and 2: the whole loop as one model
 #
-# **Lemma 1** chains what you have built: the network (eq. MI_Constraints_NN), the input
-# $u = W^{(\ell+1)} q^{(\ell)} + b^{(\ell+1)}$ (eq. hatUEqWqplusB), and the disturbed step above, for
-# $k = 0, \dots, K-1$. Any solution is a trajectory of the closed loop with admissible disturbances. **Lemma 2** puts an
-# objective on top (eq. MILPReachableSets):
+# **Lemma 1** combines the three parts for $k = 0, \dots, K-1$: the network (eq. (9), MI_Constraints_NN), the input
+# $u = W^{(\ell+1)} q^{(\ell)} + b^{(\ell+1)}$ (eq. (15d), hatUEqWqplusB), and the disturbed step above. Every solution
+# is a trajectory of the closed loop with admissible disturbances. **Lemma 2** adds an objective (eq. (17),
+# MILPReachableSets):
 #
 # $$c_k^*(v, \mathcal{F}) = \max\; v\, x(k) \quad\text{s.t. the constraints of Lemma 1 and } x(0) \in \mathcal{F},
 #   \qquad c_k^*(v, \mathcal{F}) = h_{\mathcal{R}_k^{\mathcal{D}}(\mathcal{F})}(v).$$
 #
-# `mireach.engines.cvxpy_model.model` is that MILP, written line by line as in this notebook but with a computed
-# big-$M$ for every row. We go back to the paper's disturbance $|d|_\infty \le 0.15$ and ask for one step
-# from a small box that lies across the border of modes 2 and 3.
+# `mireach.engines.cvxpy_model.model` builds this MILP, line by line as in this notebook, but with a computed big-$M$
+# for every row. We return to the paper's disturbance $|d|_\infty \le 0.15$, and compute one step from a small box that
+# contains part of the boundary between modes 2 and 3.
 
 # %% tags=["nbval-check-output"]
 F = mr.Polytope.box([-1, -8], [1, -6])
@@ -178,10 +180,10 @@ print("what attains h along (1, 0):")
 print(by_cells.witness[0])
 
 # %% [markdown]
-# Both engines agree; the witness is the trajectory that gets farthest. In the plane there is a way without MILP,
-# which also lets us *see* the set: $\mathcal{X}$ falls into convex **cells**, on each of which one mode acts and the
-# network is affine, $\Phi(x) = K x + g$. So $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})$ is the union of the convex
-# pieces
+# Both engines agree. The witness is the trajectory that attains the maximum. For two states there is a method without
+# a MILP, which also lets us *see* the set. $\mathcal{X}$ is divided into convex **cells**. On each cell one mode is
+# active and the network is affine, $\Phi(x) = K x + g$. So $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})$ is the union of
+# the convex pieces
 #
 # $$\big(A^{(i)} + B^{(i)} K\big)\,(\text{cell} \cap \mathcal{F}) + B^{(i)} g + p^{(i)} \;\oplus\; \mathcal{D}^{(i)}.$$
 
@@ -196,13 +198,13 @@ def image_pieces(loop, F):
         mode = loop.system.modes[every.mode[i]]
         u = polygon @ every.K[i].T + every.g[i]
         nominal = mode.successor(polygon, u)
-        sums = nominal[:, None] + mode.disturbance.vertices()  # corner + corner, for the Minkowski sum
+        sums = nominal[:, None] + mode.disturbance.vertices()  # sums of vertices, for the Minkowski sum
         pieces.append(mr.Polytope.from_points(sums.reshape(-1, 2)))
     return pieces
 
 
 # %% [markdown]
-# We check the pieces against brute force: 20,000 random states of a larger box, with a random disturbance each.
+# We compare the pieces with samples: 20,000 random states of a larger box, each with a random disturbance.
 
 # %% tags=["nbval-check-output"]
 G = mr.Polytope.box([-6, -9], [8, 3])
@@ -229,23 +231,25 @@ axes[0].legend(loc="upper left")
 plt.show()
 
 # %% [markdown]
-# Left, the cloud of sampled successors; right, the polygons that it must fill. The set is not convex, and it has
-# an inside structure: each piece is the image of one cell, and where a region boundary runs through $\mathcal{G}$ the
-# image is torn apart. Sampling alone never reaches the corners, which is why no proof can rest on it.
+# Left: the sampled successors. Right: the polygons that contain them. The set is not convex, and it has an inner
+# structure: each piece is the image of one cell. Where a region boundary runs through $\mathcal{G}$, the image is
+# split. Samples never reach the corners of the set, so no proof can rest on them.
 #
-# ## 3. The outer approximation: what a template keeps
+# ## 3. The outer approximation by a template
 #
-# With $h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}$ along the rows of a template $C$ comes the set (eq. Rover1)
+# The values $h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}$ along the rows of a template $C$ define the set (eq. (18),
+# Rover1)
 #
 # $$\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F})
 #   = \{x : C x \le h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}(C)\}
-#   \supseteq \mathcal{R}_1^{\mathcal{D}}(\mathcal{F}),$$
+#   \supseteq \mathcal{R}_1^{\mathcal{D}}(\mathcal{F}).$$
 #
-# the smallest one with these facets: every facet touches the reachable set. More rows cut off more corners.
+# It is the smallest such set with these facet normals: every facet touches the reachable set. More rows cut off more
+# corners.
 
 
 # %% tags=["nbval-check-output"]
-outer = {rows: mr.outer_step(loop, G, mr.directions(rows)) for rows in (4, 8, 16)}  # eq. Rover1
+outer = {rows: mr.outer_step(loop, G, mr.directions(rows)) for rows in (4, 8, 16)}  # eq. (18), Rover1
 hull = mr.Polytope.from_points(np.vstack([piece.vertices() for piece in pieces]))
 for rows, R in outer.items():
     print(f"{rows:2d} directions: area {R.area:6.1f}")
@@ -263,13 +267,14 @@ for ax in axes[1:]:
 plt.show()
 
 # %% [markdown]
-# The black outline is $\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{G})$, the blue area the reachable set itself.
-# From 4 to 8 directions the outline loses its empty corners; 16 directions come near the convex hull,
-# which no template can go below: the bays between the pieces stay inside for every $C$. Each row costs one MILP.
+# The black outline is $\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{G})$, and the blue area is the reachable set
+# itself. From 4 to 8 directions the outline loses its empty corners. With 16 directions it is close to the convex hull.
+# No template can be smaller than the convex hull, so the gaps between the pieces remain inside for every $C$. Each row
+# costs one MILP.
 #
 # ## 4. Several steps: one large MILP, or many small ones
 #
-# Lemma 2 holds for any $k$. Its MILP chains $k$ copies of the loop, each with $N_1 = s + \sum_i p_i w_i$ binaries:
+# Lemma 2 holds for any $k$. Its MILP contains $k$ copies of the loop, each with $N_1 = s + \sum_i p_i w_i$ binaries:
 
 # %% tags=["nbval-check-output"]
 N_1 = len(system.modes) + loop.network.binaries  # saturation layers included
@@ -279,28 +284,28 @@ for k in (1, 2, 3):
     print(f"k = {k}: {binaries:3d} binary variables in the model; k N_1 = {k * N_1}")
 
 # %% [markdown]
-# In the worst case the work doubles with each further binary. The other way is to take $k$ small steps and to
-# approximate after each (eq. ROverOver):
+# In the worst case each additional binary doubles the work. The alternative is to take $k$ single steps, and to
+# over-approximate after each (eq. (19), ROverOver):
 #
 # $$\overline{\mathcal{R}}_k^{\mathcal{D}}(\mathcal{F}) =
 #   \underbrace{\overline{\mathcal{R}}_1^{\mathcal{D}}(\dots\overline{\mathcal{R}}_1^{\mathcal{D}}}_{k\text{ times}}
 #   (\mathcal{F})) \supseteq \mathcal{R}_k^{\mathcal{D}}(\mathcal{F}).$$
 #
-# It needs only problems with $N_1$ binaries, but the next step starts from a set that is already too large. How much is
-# lost? We compare along $v = (1, 0)$:
+# This needs only problems with $N_1$ binaries, but each step starts from a set that is already too large. How large is
+# the error? We compare along $v = (1, 0)$:
 
 # %% tags=["nbval-check-output"]
 v_right = C[:1]
-sequence = mr.outer_reach(loop, F, C, steps=3)  # eq. ROverOver
+sequence = mr.outer_reach(loop, F, C, steps=3)  # eq. (19), ROverOver
 print("k   one MILP   by cells   outer steps")
 for k in (1, 2, 3):
-    large = mr.support(loop, F, v_right, steps=k, engine="cvxpy").value[0]  # eq. MILPReachableSets
+    large = mr.support(loop, F, v_right, steps=k, engine="cvxpy").value[0]  # eq. (17), MILPReachableSets
     exact = mr.support(loop, F, v_right, steps=k).value[0]
     print(f"{k}   {large:8.3f}   {exact:8.3f}   {sequence[k].support(v_right)[0]:11.3f}")
 
 # %% [markdown]
-# For $k = 1$ the three agree by definition. From $k = 2$ on the outer steps may give more than the exact set, never
-# less; the MILP and the exact cells stay equal. In the picture the same thing along all directions:
+# For $k = 1$ the three values agree by definition. From $k = 2$ on the outer steps may give more than the exact set,
+# never less. The MILP and the exact cells stay equal. The next figure shows the same for all directions:
 
 # %%
 exact_pieces = [F]
@@ -318,12 +323,12 @@ fig.legend(handles=ax.patches[-2:], loc="outside lower center", ncols=2, frameon
 plt.show()
 
 # %% [markdown]
-# Blue: the exact set $\mathcal{R}_k^{\mathcal{D}}(\mathcal{F})$. Black: the template around it, from Lemma 2 with $k$
-# steps. Red, dashed: $k$ outer steps. At $k = 1$ black and red coincide. The image of $\mathcal{F}$ is torn into two
-# islands at the region boundary; the outer step fills the gap between them with states that are not reachable, and in
-# the following steps these have successors too. So from $k = 2$ on the red set is the larger one.
+# Blue: the exact set $\mathcal{R}_k^{\mathcal{D}}(\mathcal{F})$. Black: the template set around it, from Lemma 2 with
+# $k$ steps. Red, dashed: $k$ outer steps. At $k = 1$ black and red coincide. The region boundary splits the image of
+# $\mathcal{F}$ into two separate parts. The outer step fills the gap between them with states that are not reachable,
+# and in the following steps these states have successors, too. So from $k = 2$ on the red set is larger.
 #
-# The price of exactness is the size of the problem; on most machines the following times grow by far more than $k$:
+# The exact set needs a larger problem. On most machines the following times grow by far more than $k$:
 
 # %%
 for k in (1, 2, 3):
@@ -332,8 +337,9 @@ for k in (1, 2, 3):
     print(f"k = {k}: {perf_counter() - begin:.2f} s for one direction")
 
 # %% [markdown]
-# The sequence of outer sets, step by step: a few of them first, then all with a slider. The dots are 1,500 simulated
-# trajectories with random disturbances. **The slider needs a running kernel**; without one you see the static row.
+# The next figures show the sequence of outer sets step by step: first a few of them, then all with a slider. The dots
+# are 1,500 simulated trajectories with random disturbances. **The slider needs a running kernel**; without one you see
+# the static row.
 
 # %%
 long_sequence = mr.outer_reach(loop, F, C, steps=12)
@@ -341,7 +347,7 @@ paths = loop.simulate(F.sample(rng, 1500), 12, rng)
 
 
 def draw_reach(ax, k):
-    """Step k: all outer sets so far, the current one in red, and where the trajectories are."""
+    """Step k: all outer sets so far, the current one in red, and the states of the trajectories."""
     draw_regions(ax, system)
     for R in long_sequence[:k]:
         draw_set(ax, R, facecolor="none", edgecolor=GREY, linewidth=0.7)
@@ -360,20 +366,21 @@ plt.show()
 step_viewer(draw_reach, len(long_sequence))
 
 # %% [markdown]
-# All dots stay in the red set at every step, and the set drifts to the origin and settles around it. What it settles
-# to is the subject of the next notebooks: the terminal set.
+# All dots stay in the red set at every step. The set moves to the origin and converges to a set around it. The next
+# notebooks study this limit: the terminal set.
 #
 # ## 5. Is a set RPI?
 #
-# A set is RPI if one step, under any admissible disturbance, does not leave it:
-# $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F}) \subseteq \mathcal{F}$ (eq. RPI). For a polytope $\mathcal{F} = \{x :
-# H^{(\mathcal{F})} x \le h^{(\mathcal{F})}\}$ this is a question about its own facets only:
+# A set is RPI if no admissible disturbance leads out of it in one step:
+# $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F}) \subseteq \mathcal{F}$ (eq. (5), RPI). For a polytope
+# $\mathcal{F} = \{x : H^{(\mathcal{F})} x \le h^{(\mathcal{F})}\}$ it suffices to check its own facets:
 #
 # $$\mathcal{F} \text{ is RPI} \iff h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}\big(H^{(\mathcal{F})}\big)
 #   \le h^{(\mathcal{F})}.$$
 #
-# No template is involved, so the answer is exact: yes, or no with a trajectory that shows it. Three candidates: all of
-# $\mathcal{X}$, the box $|x|_\infty \le 4$, and the safe set $\mathcal{F}_{\max}$ that notebook 06 will compute.
+# No template is involved, so the answer is exact: yes, or no with a trajectory that shows it. We check three
+# candidates: all of $\mathcal{X}$, the box $|x|_\infty \le 4$, and the safe set $\mathcal{F}_{\max}$ that notebook 06
+# computes.
 
 # %% tags=["nbval-check-output"]
 F_max = mr.safe_set(loop, case.safe_directions).set
@@ -384,9 +391,9 @@ for name, candidate in candidates.items():
     print(f"{name:8s} is RPI: {bool((h_image <= candidate.h).all())!s:5s}  h - h_R1 = {margin}")
 
 # %% [markdown]
-# A negative entry is a facet that the image passes. `mr.check_rpi` does the same and hands over a **witness**: a state
-# of the set, its input, the mode and a disturbance, whose successor lies outside. Anyone can replay it with a pocket
-# calculator; it does not matter how it was found.
+# A negative entry belongs to a facet that the image violates. `mr.check_rpi` does the same and returns a **witness**: a
+# state of the set, its input, the mode, and a disturbance, whose successor lies outside. Anyone can verify it with a
+# pocket calculator, regardless of how it was found.
 
 # %% tags=["nbval-check-output"]
 checks = {name: mr.check_rpi(loop, candidate) for name, candidate in candidates.items()}
@@ -416,13 +423,13 @@ fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", nco
 plt.show()
 
 # %% [markdown]
-# Green outline: the candidate; blue: its image $\mathcal{R}_1^{\mathcal{D}}$. In the first two panels a red arrow
-# leads from a state of the set to a successor outside it, so these sets are refuted for good. In the third all of the
-# blue lies within the green: $\mathcal{F}_{\max}$ is proven to be RPI.
+# Green outline: the candidate. Blue: its image $\mathcal{R}_1^{\mathcal{D}}$. In the first two panels a red arrow leads
+# from a state of the set to a successor outside. This refutes the claim. In the third panel the blue set lies within
+# the green outline: $\mathcal{F}_{\max}$ is proven to be RPI.
 #
-# The refutation of the boxes is no accident. In mode 3, $x_2^+ = 0.491\,x_1 + 0.62\,x_2 + d_2$ does not depend on the
-# input at all. At the corner $(-r, -r)$ that gives $-1.111\,r - 0.15 < -r$: whatever the controller does, no
-# box $|x|_\infty \le r$ is RPI. An RPI set must give up that corner.
+# There is a reason why the boxes fail. In mode 3, $x_2^+ = 0.491\,x_1 + 0.62\,x_2 + d_2$ does not depend on the input.
+# At the corner $(-r, -r)$ the smallest value is $-1.111\,r - 0.15 < -r$. So for every controller, no box
+# $|x|_\infty \le r$ is RPI. An RPI set must exclude this corner.
 
 # %% tags=["nbval-check-output"]
 for r in (0.5, 2, 6, 10):
@@ -430,9 +437,9 @@ for r in (0.5, 2, 6, 10):
     print(f"r = {r}: {check.verdict}, margin along (0, -1): {check.margin[3]:.3f}")
 
 # %% [markdown]
-# The MILP engine reaches the same verdict without any cells, and it is not bound to the plane. There is a third
-# verdict, *unknown*: a solver that is stopped early has a bound that is too weak for a proof, and no counterexample
-# either.
+# The MILP engine reaches the same verdict without cells, and it also works for more than two states. A third verdict is
+# *unknown*: if a solver is stopped early, its bound may be too weak for a proof, and it may have found no
+# counterexample.
 
 # %% tags=["nbval-check-output"]
 for name, candidate in candidates.items():
@@ -441,25 +448,27 @@ for name, candidate in candidates.items():
 # %% [markdown]
 # ## What you saw
 #
-# - Eq. MISysWithDis adds one vector $d$ and one switched inequality a mode to the model of notebook 03; boxes, segments
-#   and points are all just rows $H^{(\mathcal{D}^{(i)})} d \le h^{(\mathcal{D}^{(i)})}$.
-# - Lemma 2 turns "how far can the loop get along $v$ in $k$ steps" into one MILP with $k N_1$ binaries.
-# - Outer steps need $N_1$ binaries each, whatever $k$, and lose what the template cannot follow: bays, islands, gaps.
-# - The RPI check loses nothing: it asks along the facets of the set itself, and a "no" comes with a witness.
+# - Eq. (14), MISysWithDis, adds one vector $d$ and one switched inequality per mode to the model of notebook 03. Boxes,
+#   segments and points are all described by rows $H^{(\mathcal{D}^{(i)})} d \le h^{(\mathcal{D}^{(i)})}$.
+# - Lemma 2 computes the support function of the $k$-step reachable set along $v$ by one MILP with $k N_1$ binaries.
+# - Outer steps need $N_1$ binaries each, for every $k$. They lose what a template cannot describe: nonconvex shapes and
+#   gaps.
+# - The RPI check loses nothing. It uses the facets of the set itself, and a "no" comes with a witness.
 #
 # ## On your own
 #
-# - Move $\mathcal{F}$ in section 4 away from the boundary $x_1 = 0$. Do black and red still part at $k = 2$?
+# - Move $\mathcal{F}$ in section 4 away from the boundary $x_1 = 0$. Do black and red still differ at $k = 2$?
 # - Use `mr.directions(32)` in the outer steps. What becomes better, and what cannot?
 # - Replace the disturbance by `loop.with_disturbance(segment.scale(0.1))`. Is $\mathcal{F}_{\max}$ still RPI?
-# - Exercises: `exercises/ex04` asks you to refute sets by hand, and for the largest disturbance a set survives.
+# - Exercises: in `exercises/ex04` you refute sets by hand, and compute the largest disturbance for which a set stays
+#   RPI.
 #
 # ## Further reading
 #
 # - D. Teichrib, M. Schulze Darup, *A mixed-integer framework for analyzing neural network-based controllers for
-#   piecewise affine systems with bounded disturbances*, ECC 2025: Sec. III (Lemmas 1 and 2, eq. Rover1), Def. 1.
+#   piecewise affine systems with bounded disturbances*, ECC 2025: Sec. III (Lemmas 1 and 2, eq. (18), Rover1), Def. 1.
 # - A. Bemporad, M. Morari, *Control of systems integrating logic, dynamics, and constraints*, Automatica 1999: the
 #   big-$M$ model of piecewise-affine dynamics.
 # - S. V. Raković et al., *Invariant approximations of the minimal robust positively invariant set*, IEEE TAC 2005.
 #
-# Next: **05_from_mpc_to_a_maxout_net**, where the controller $\Phi$ comes from.
+# Next: **05_from_mpc_to_a_maxout_net** shows how the controller $\Phi$ is obtained.

@@ -11,16 +11,16 @@
 # %% [markdown]
 # # Train a maxout network to imitate a model predictive controller
 #
-# **What you will do.** Solve the optimal control problem of the first case study at some states; look at the control
-# law $u^*(x)$ that it defines; train a $3 \times 3$ maxout network on 992 samples of it, here and now; and bend the
-# network so that it respects $|u| \le 1$ at *every* state.
+# **What you will do.** Solve the optimal control problem of the first case study at some states. Look at the control
+# law $u^*(x)$ that it defines. Train a $3 \times 3$ maxout network on 992 samples of it in this notebook. Modify the
+# network so that it satisfies $|u| \le 1$ at *every* state.
 #
-# **What you will learn.** Why a piecewise-affine plant makes model predictive control (MPC) a mixed-integer problem;
-# why its law jumps and what a continuous network can do about it; why the loss is computed behind the clipping; what
-# "saturated exactly" means.
+# **What you will learn.** Why a piecewise-affine plant makes model predictive control (MPC) a mixed-integer problem.
+# Why the control law jumps, and how well a continuous network can approximate it. Why the loss uses the clipped output.
+# What "saturated exactly" means.
 #
-# **What you need.** Notebook 02 (maxout networks) and 03 (the four-mode system). Some least squares; PyTorch is only
-# used through one function. "Run all" takes about half a minute, most of it training.
+# **What you need.** Notebook 02 (maxout networks), notebook 03 (the four-mode system), and some least squares. PyTorch
+# is used only through one function. "Run all" takes about half a minute, most of it training.
 
 # %%
 import matplotlib.pyplot as plt
@@ -41,7 +41,7 @@ print(f"{data}; {len(system.modes)} modes")
 # %% [markdown]
 # ## 1. One optimal control problem, solved
 #
-# The controller that the network shall imitate solves, at every state $x$, the problem (Sec. V.A)
+# The network shall imitate an optimal controller. At every state $x$ this controller solves the problem (Sec. V.A)
 #
 # $$\begin{aligned}
 # \min_{u(0), \dots, u(N-1)} \quad
@@ -50,10 +50,10 @@ print(f"{data}; {len(system.modes)} modes")
 # & \|x(k)\|_\infty \le 10, \quad |u(k)| \le 1
 # \end{aligned}$$
 #
-# with $Q = P = I$, $R = 1$, $N = 10$, without any disturbance, and applies the first input $u^*(x) = u(0)$. If the
-# mode of every step were known this would be a small quadratic program (QP). It is not, and there are $4^{10}$ mode
-# sequences: a mixed-integer QP. `solve_miqp` searches them best first, with the QPs of partial sequences as lower
-# bounds.
+# with $Q = P = I$, $R = 1$, $N = 10$, without disturbance, and applies the first input $u^*(x) = u(0)$. If the mode of
+# every step were known, this would be a small quadratic program (QP). The modes are not known, and there are $4^{10}$
+# mode sequences, so the problem is a mixed-integer QP. `solve_miqp` uses a best-first search over the sequences. The
+# QPs of partial sequences give lower bounds.
 
 # %% tags=["nbval-check-output"]
 starts = [(-7.3, 8.52), (5, 5), (-5, -5), (8, -6)]
@@ -75,11 +75,11 @@ legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# From each state, the ten optimal steps $x(0), \dots, x(10)$ hop through the regions to the origin. A few dozen QPs
-# settle each of them, out of a million sequences, and the last bound proves that no sequence is better.
+# From each state, the ten optimal steps $x(0), \dots, x(10)$ jump through the regions to the origin. Of a million
+# sequences, a few dozen QPs suffice for each state. The last bound proves that no sequence is better.
 #
-# Some states have no solution at all. In mode 3 the next $x_2$ is $0.491\,x_1 + 0.62\,x_2$ and no input can change
-# it, so where this is below $-10$ the constraints are violated at once:
+# Some states have no solution. In mode 3 the next $x_2$ is $0.491\,x_1 + 0.62\,x_2$, and no input can change it. Where
+# this value is below $-10$, the constraints are violated after one step:
 
 # %% tags=["nbval-check-output"]
 corner = solve_miqp(system, np.array([-9.5, -9.5]))
@@ -90,8 +90,8 @@ print("smallest of the feasible ones:", (data.states @ [0.491, 0.62]).min().roun
 # %% [markdown]
 # ## 2. The control law as a surface
 #
-# The data set holds the answers at 1000 random states, of which 992 have a solution. Drawn over the plane they make up
-# the law $u^*(x)$.
+# For the data set, the problem was solved at 1000 random states; 992 of them have a solution. The optimal inputs, drawn
+# over the plane, show the law $u^*(x)$.
 
 # %% tags=["nbval-check-output"]
 u_star = data.inputs[:, 0]
@@ -118,10 +118,10 @@ fig.colorbar(image, ax=flat, label="$u^*$")
 plt.show()
 
 # %% [markdown]
-# Left the law as a surface, right from above, with the samples as dots and the states without a solution as crosses.
-# Two plateaus at $u^* = -1$ (dark) and $u^* = +1$ (bright) cover most of the plane; between them the law is steep,
-# and in places it does not climb but **jumps**. Neighbouring samples that differ by more than 1 are not connected, so
-# there you see a gap. What happens in it? We solve the problem on two fine lines through the plane:
+# Left: the law as a surface. Right: the law from above, with the samples as dots and the states without a solution as
+# crosses. Two plateaus at $u^* = -1$ (dark) and $u^* = +1$ (bright) cover most of the plane. Between them the law is
+# steep, and in places it **jumps**. Neighbouring samples that differ by more than 1 are not connected, so the surface
+# has a gap there. To see the law in the gap, we solve the problem on two fine lines through the plane:
 
 # %% tags=["nbval-check-output"]
 x1 = np.linspace(-9, 9, 181)
@@ -131,20 +131,20 @@ print("x2 =  5: u* at x1 = -0.1, 0.1: ", optimal[5][[89, 91]].round(2))
 print("x2 = -6: u* at x1 = -4.6, -4.4:", optimal[-6][[44, 46]].round(2))
 
 # %% [markdown]
-# At $x_2 = 5$ the law is $-1$ left of the border between modes 4 and 1 and $+1$ right of it. The plant jumps
-# there, so it pays to steer in the opposite direction. The jump printed for $x_2 = -6$ lies *inside* the region of
-# mode 3: on its two sides different mode sequences of the following steps are optimal. Keep both lines in
-# mind: the network will have to cope with them.
+# At $x_2 = 5$ the law is $-1$ left of the border between modes 4 and 1, and $+1$ right of it. The plant jumps there, so
+# the optimal input changes its sign. The jump printed for $x_2 = -6$ lies *inside* the region of mode 3: on its two
+# sides different mode sequences of the following steps are optimal. We will compare the network with the law on both
+# lines.
 #
 # ## 3. Train the network, live
 #
 # The paper's network for this case has $\ell = 3$ hidden layers of $w_i = 3$ neurons with $p_i = 3$ channels each
-# (eqs. NN and maxout):
+# (eq. (6), NN, and eq. (8), maxout):
 #
 # $$\Phi(x) = f^{(4)} \circ g^{(3)} \circ f^{(3)} \circ g^{(2)} \circ f^{(2)} \circ g^{(1)} \circ f^{(1)}(x).$$
 #
-# We minimise the mean squared error over the data of the output *clipped* to $\mathcal{U} = [-1, 1]$; why it is
-# clipped is the subject of section 6. One run: 6000 steps of Adam on all data at once.
+# The loss is the mean squared error over the data, with the output *clipped* to $\mathcal{U} = [-1, 1]$; section 6
+# explains why. One run takes 6000 steps of Adam, each on all data.
 
 # %%
 trained = train(
@@ -162,9 +162,9 @@ ax.grid(alpha=0.3)
 plt.show()
 
 # %% [markdown]
-# The error falls by about two orders of magnitude: fast at first, slowly afterwards, while the kinks of the network
-# move to where the law has its own. At the end the learning rate goes to zero, and the curve is flat. Your digits may
-# differ from those stored here: rounding differs between machines, and 6000 steps amplify it.
+# The error falls by about two orders of magnitude: fast at first, and slowly later, while the kinks of the network move
+# to the kinks of the law. At the end the learning rate goes to zero, and the curve is flat. Your digits may differ from
+# those stored here, because rounding differs between machines and 6000 steps amplify the differences.
 #
 # ## 4. Compare the network with the data
 
@@ -191,8 +191,8 @@ plt.show()
 print(f"{100 * (error < 0.05).mean():.0f} % of the samples are off by less than 0.05; the worst by {error.max():.2f}")
 
 # %% [markdown]
-# The network (left) has the same plateaus as the law. On the right nearly all samples are bright, that is, well met;
-# the dark dots lie where the law jumps. On the two lines:
+# The network (left) has the same plateaus as the law. On the right nearly all samples are bright, i.e. their error is
+# small. The dark dots lie where the law jumps. On the two lines:
 
 # %%
 fig, axes = plt.subplots(1, 2, figsize=(8, 3.2), sharey=True, layout="constrained")
@@ -205,22 +205,22 @@ axes[0].legend(loc="center left", fontsize="small")
 plt.show()
 
 # %% [markdown]
-# The optimal law (dots) jumps, the network (line) cannot: it is continuous and connects the levels by steep ramps.
-# Training can make a ramp steeper, but next to a jump the error stays large on at least one side (exercise 05 asks
-# how large), and a sample on the ramp may be missed by up to 2. This is no reason to give up: what counts is not
-# whether $\Phi$ equals $u^*$ but whether the *loop with $\Phi$* is safe, and that is what the sets of the other
-# notebooks decide.
+# The optimal law (dots) jumps. The network (line) is continuous, so it connects the levels by steep ramps. Training can
+# make a ramp steeper, but next to a jump the error stays large on at least one side (exercise 05 asks how large). At a
+# sample on the ramp the error can be as large as 2. This is not a failure. What matters is not whether $\Phi$ equals
+# $u^*$, but whether the *loop with $\Phi$* is safe. The sets of the other notebooks decide this.
 #
 # ## 5. Saturate it exactly
 #
-# The analysis assumes $\Phi(x) \in \mathcal{U}$ for all $x \in \mathcal{X}$ (Sec. II.A). A network learns this only
-# roughly. But the projection onto a box is itself a small maxout network:
+# The analysis assumes $\Phi(x) \in \mathcal{U}$ for all $x \in \mathcal{X}$ (Sec. II.A). Training achieves this only
+# approximately. But the projection onto a box is itself a small maxout network,
 #
 # $$\min\{\max\{z, \underline{u}\}, \overline{u}\} = -\max\{-v,\, -\overline{u}\}
-#   \quad\text{with}\quad v = \max\{z,\, \underline{u}\},$$
+#   \quad\text{with}\quad v = \max\{z,\, \underline{u}\}.$$
 #
-# two layers with two channels. `train` has added them already. To see the network before, we take them off again:
-# the channel that competes with $\underline{u}$ in the first of the two layers *is* the raw output $z$.
+# It has two layers with two channels. `train` has already added them. To see the network before the projection, we
+# remove them. In the first of the two layers, one channel is the limit $\underline{u}$, and the other *is* the raw
+# output $z$.
 
 # %%
 before, raise_up, cut_off = live.hidden[:-2], *live.hidden[-2:]
@@ -244,14 +244,14 @@ axes[2].legend(loc="upper left", fontsize="small")
 plt.show()
 
 # %% [markdown]
-# Left, the raw output runs far beyond $\pm 1$; the black contours mark where it crosses the limits. In the middle the
-# same network with the two layers: flat outside the contours, untouched between them. Right, both along the line: the
-# dashed curve leaves the grey band $\mathcal{U}$, the solid one follows it inside and stays at the edge outside.
+# Left: the raw output goes far beyond $\pm 1$. The black contours mark where it crosses the limits. Middle: the same
+# network with the two layers. It is constant outside the contours and unchanged between them. Right: both along the
+# line. The dashed curve leaves the grey band $\mathcal{U}$. The solid curve equals it inside the band and stays at the
+# limit elsewhere.
 #
-# "Exactly" is meant literally. The channels that hold the limits have weight 0 and the limit as their bias, and all
-# that comes after them is multiplied by $-1$, so a saturated output is the float
-# $1.0$ and not $0.9999$ or $1.0000001$. We try it on a million values with the shipped network, which the rest of
-# the course uses:
+# "Exactly" is meant literally. The channels for the limits have weight 0 and the limit as their bias, and the following
+# layers only multiply by $-1$. So a saturated output is the float $1.0$, not $0.9999$ or $1.0000001$. We test it for a
+# million values with the shipped network, which the rest of the course uses:
 
 # %% tags=["nbval-check-output"]
 shipped = case.network
@@ -263,8 +263,8 @@ print("largest difference from clip(z):", np.abs(phi - np.clip(z, -1, 1)).max().
 print("outputs outside U:", int((np.abs(phi) > 1).sum()), " smallest:", phi.min(), " largest:", phi.max())
 
 # %% [markdown]
-# A million samples are still no proof for all of $\mathcal{X}$. The library does not rely on them: every engine checks
-# the assumption itself, at the vertices of all affine pieces or by a MILP, and a loop with the raw network is refused:
+# A million samples are still no proof for all of $\mathcal{X}$. The library does not rely on them. Every engine checks
+# the assumption itself, at the vertices of all affine pieces or by a MILP, and rejects a loop with the raw network:
 
 # %%
 try:
@@ -275,15 +275,15 @@ except ValueError as refusal:
 # %% [markdown]
 # ## 6. Why the loss is clipped
 #
-# Two thirds of the optimal inputs lie on a limit. There the unsaturated output may be *anything* beyond the limit; the
-# projection takes care of the rest. Three candidates for the loss of one sample, with $z$ the raw output:
+# Two thirds of the optimal inputs lie on a limit. There the unsaturated output may take *any* value beyond the limit,
+# because the projection corrects it. There are three candidates for the loss of one sample, with $z$ the raw output:
 #
 # $$(z - u^*)^2, \qquad (\mathrm{clip}(z) - u^*)^2, \qquad
 #   (\mathrm{clip}(z) + \lambda\,(z - \mathrm{clip}(z)) - u^*)^2.$$
 #
-# The first punishes $z = 3$ where $u^* = 1$, although clipping makes it perfect. The second does not, but its
-# gradient is zero at $z = -3$ too, where the output is cut off on the wrong side. The third keeps a small slope
-# $\lambda$ outside.
+# The first penalises $z = 3$ where $u^* = 1$, although the clipped output is optimal. The second does not, but its
+# gradient is also zero at $z = -3$, where the output is clipped to the wrong limit. The third keeps a small slope
+# $\lambda$ outside the limits.
 
 # %%
 z = torch.linspace(-3, 3, 601, requires_grad=True)
@@ -304,9 +304,9 @@ axes[0].legend(loc="upper right")
 plt.show()
 
 # %% [markdown]
-# Left: for $z > 1$ the plain loss rises again, the other two stay at (about) zero. Right, in logarithmic scale: for
-# $z < -1$ the clipped loss has no slope at all (its line leaves the picture), so such a sample could never pull its
-# output back; the leaky loss still pulls, at a hundredth of the strength. That is the loss that `train` uses. Does it
+# Left: for $z > 1$ the plain loss rises again, while the other two stay at (about) zero. Right, on a logarithmic scale:
+# for $z < -1$ the gradient of the clipped loss is zero (its line leaves the figure), so such a sample could never
+# correct its output. The leaky loss has a gradient of a hundredth of the size. `train` uses the leaky loss. Does it
 # matter? We train with limits so wide that nothing is clipped, and saturate afterwards:
 
 # %%
@@ -319,14 +319,15 @@ for seed in (0, 2):
     print(f"{seed:4d} {leaky:15.4f} {((saturated(data.states) - data.inputs) ** 2).mean():29.4f}")
 
 # %% [markdown]
-# The leaky clipped loss is usually ahead, by up to a factor of two: with the plain one, the few kinks that nine
-# neurons have are spent on bending the plateaus flat. "Usually": training is not convex, and with other seeds the
-# order can turn round. How much such luck matters for the *sets* is the subject of the seed study in notebook 10.
+# The leaky clipped loss usually gives the smaller error, by up to a factor of two. The plain loss penalises outputs
+# beyond the limits. So the network needs kinks to keep the plateaus flat, and with nine neurons it has only a few. We
+# say "usually" because training is not convex: with other seeds the order may change. The seed study in notebook 10
+# examines how much the seed affects the *sets*.
 #
-# ## 7. The network that the course goes on with
+# ## 7. The network for the rest of the course
 #
-# Training live gives another network on another machine, and the sets of a paper must not change with the machine. So
-# the project ships one network a case, trained by the same function on the same data:
+# Training on another machine gives another network, but the sets of a paper must not depend on the machine. So the
+# project ships one network per case, trained by the same function on the same data:
 
 # %% tags=["nbval-check-output"]
 off = np.abs(shipped(data.states) - data.inputs)[:, 0]
@@ -337,30 +338,29 @@ print(f"{100 * (off < 0.05).mean():.0f} % of the samples are off by less than 0.
 # %% [markdown]
 # ## What you saw
 #
-# - MPC of a piecewise-affine plant is a mixed-integer QP; branch and bound solved it with a few dozen QPs a state.
-# - Its law has plateaus at the limits of $u$ and jumps; a network with 27 channels can follow the
-#   plateaus, not the jumps.
-# - The projection onto $\mathcal{U}$ is two maxout layers: 4 binaries more, and the assumption of the analysis holds
-#   exactly.
-# - Where saturation follows anyway, the loss should know of it, but must not lose its gradient.
+# - MPC of a piecewise-affine plant is a mixed-integer QP. Branch and bound solved it with a few dozen QPs per state.
+# - The control law has plateaus at the limits of $u$, and it jumps. A network with 27 channels can approximate the
+#   plateaus, but not the jumps.
+# - The projection onto $\mathcal{U}$ consists of two maxout layers. It adds 4 binaries, and the assumption of the
+#   analysis holds exactly.
+# - If the output is saturated, the loss should account for the saturation, but it must not lose its gradient.
 #
 # ## On your own
 #
-# - Train with `layers=2` or `width=5`. How much accuracy does a binary buy?
-# - Build `mr.case_study("pwa", live)` and ask `mr.safe_set(study.loop, study.safe_directions)`. Is there a safe set for
-#   *your* network?
-# - Let the optimal controller itself run: apply $u^*$ step by step with random disturbances and compare with the
-#   network.
-# - Exercises: `exercises/ex05` has you build the projection, the loss, and the infeasible corner yourself.
+# - Train with `layers=2` or `width=5`. How does the accuracy depend on the number of binaries?
+# - Build `mr.case_study("pwa", live)` and compute `mr.safe_set(study.loop, study.safe_directions)`. Is there a safe set
+#   for *your* network?
+# - Run the optimal controller itself: apply $u^*$ step by step with random disturbances, and compare with the network.
+# - Exercises: in `exercises/ex05` you build the projection, the loss, and the infeasible corner yourself.
 #
 # ## Further reading
 #
 # - I. Goodfellow et al., *Maxout networks*, ICML 2013.
 # - D. Mignone, G. Ferrari-Trecate, M. Morari, *Stability and stabilization of piecewise affine and hybrid systems: an
-#   LMI approach*, CDC 2000: where the four-mode system comes from.
+#   LMI approach*, CDC 2000: the source of the four-mode system.
 # - F. Borrelli, A. Bemporad, M. Morari, *Predictive Control for Linear and Hybrid Systems*, Cambridge University Press
 #   2017: MPC of hybrid systems.
 # - B. Karg, S. Lucia, *Efficient representation and approximation of model predictive control laws via deep learning*,
 #   IEEE Transactions on Cybernetics 2020.
 #
-# Next: **06_case_study_pwa**, where the loop with this network gets its safe set and its terminal set.
+# Next: **06_case_study_pwa** computes the safe set and the terminal set of the loop with this network.

@@ -11,21 +11,22 @@
 # %% [markdown]
 # # Certify the four-mode loop, set by set
 #
-# A piecewise-affine plant with four modes, a disturbance of up to 0.15 in each state, and a small maxout network in
-# the feedback path: is the loop safe, and where does it end up? This notebook answers both questions as the paper's
-# first case study does, one set after the other.
+# The plant is piecewise affine with four modes. A disturbance of up to 0.15 acts on each state, and a small maxout
+# network closes the loop. Is the loop safe, and where do its trajectories end? This notebook answers both questions as
+# the paper's first case study does, one set after the other.
 #
-# **What you will do.** Write down the two iterations of the method in a few lines each, watch every set that they
-# produce, and redraw Figures 1 and 2 of the paper.
+# **What you will do.** Write the two iterations of the method in a few lines each, look at every set that they produce,
+# and redraw Figures 1 and 2 of the paper.
 #
 # **What you will learn.**
-# - how Proposition Fmax finds a safe set, which sides of it the network decides, and what a failure looks like;
-# - how eq. RminOver shrinks it to a terminal set, and when eq. TerminationFmin ends that;
-# - why two disturbed trajectories from one state can part suddenly;
-# - what Theorem 1 says in numbers, and what its proof really needs.
+# - how Prop. 3, Fmax, finds a safe set, which sides of it depend on the network, and what a failure looks like;
+# - how the iteration of eq. (24), RminOver, shrinks it to a terminal set, and when eq. (25), TerminationFmin, stops the
+#   iteration;
+# - why two disturbed trajectories that start in the same state can separate suddenly;
+# - what Theorem 1 means in numbers, and what its proof needs.
 #
-# **What you need.** Notebooks 03 and 04 (regions, one-step sets). The network is a shipped one; notebook 05 trains
-# its like. "Run all" takes about 20 seconds.
+# **What you need.** Notebooks 03 and 04 (regions, one-step sets). The notebook uses a shipped network; notebook 05
+# trains a similar one. "Run all" takes about 20 seconds.
 
 # %%
 import matplotlib.pyplot as plt
@@ -48,9 +49,9 @@ print(case)
 # $$x(k+1) = A^{(i)} x(k) + B^{(i)} \Phi(x(k)) + d(k) \quad\text{if } x(k) \in \mathcal{P}^{(i)}, \qquad
 #   d(k) \in \mathcal{D} = \{d : \|d\|_\infty \le 0.15\}$$
 #
-# The regions are the four quadrants, $\mathcal{X} = \{x : \|x\|_\infty \le 10\}$ and
-# $\mathcal{U} = \{u : |u| \le 1\}$. The controller $u = \Phi(x)$ imitates a model predictive controller that knows
-# nothing of the disturbance. Whether the loop is safe all the same is for us to find out.
+# The regions are the four quadrants, $\mathcal{X} = \{x : \|x\|_\infty \le 10\}$ and $\mathcal{U} = \{u : |u| \le 1\}$.
+# The controller $u = \Phi(x)$ imitates a model predictive controller that ignores the disturbance. We want to know
+# whether the loop is safe with the disturbance.
 
 # %%
 fig, ax = plt.subplots(figsize=(5.6, 5.4), layout="constrained")
@@ -64,48 +65,52 @@ plotting.label_axes(ax, X, r"nominal loop, $x^+ - x$ (arrows scaled by 1/8)")
 plt.show()
 
 # %% [markdown]
-# **What to see.** Neighbouring arrows differ abruptly across the axes: the map jumps at the region boundaries. We meet
-# the consequences in section 5.
+# **What to see.** Neighbouring arrows differ abruptly across the axes, because the map jumps at the region boundaries.
+# Section 5 shows the consequences.
 
 # %% [markdown]
 # ## 2. A safe set, iteration by iteration
 #
-# Start from all of $\mathcal{X}$ and keep what one step can reach (eq. Fk):
+# Start with the whole set $\mathcal{X}$ and keep what one step can reach (eq. (21), Fk):
 #
 # $$\mathcal{F}_0 = \mathcal{X}, \qquad
-#   \mathcal{F}_{k+1} = \overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}_k) \cap \mathcal{X},$$
+#   \mathcal{F}_{k+1} = \overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}_k) \cap \mathcal{X}.$$
 #
-# where $\overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}) = \{x : C x \le h(C)\}$ is the tightest set with the
-# rows of $C$ around everything that one step from $\mathcal{F}$ can reach (eq. Rover1). Here $C = (I, -I)$: boxes.
-# One step by hand:
+# Here $\overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}) = \{x : C x \le h(C)\}$ is the smallest set with the
+# normals $C$ that contains everything one step from $\mathcal{F}$ can reach (eq. (18), Rover1). With $C = (I, -I)$ the
+# sets are boxes. The first step by hand:
 
 # %% tags=["nbval-check-output"]
-image = mr.outer_step(loop, X, C_box)  # R_1-bar(F_0), eq. Rover1
+image = mr.outer_step(loop, X, C_box)  # R_1-bar(F_0), eq. (18), Rover1
 print("R1-bar(F0) along x1, x2, -x1, -x2:", image.support(C_box).round(2))
 print("does it lie in X?                 ", image.is_subset(X))
-F_1 = image & X  # eq. Fk
+F_1 = image & X  # eq. (21), Fk
 print("F1 along x1, x2, -x1, -x2:        ", F_1.support(C_box).round(2))
 
 # %% [markdown]
-# One side of the image lies outside $\mathcal{X}$, so from somewhere in $\mathcal{X}$ the state may be thrown out:
-# $\mathcal{X}$ itself is not safe. The intersection cuts that side back, and the search goes on from $\mathcal{F}_1$.
+# One side of the image lies outside $\mathcal{X}$. So from some states of $\mathcal{X}$ the loop may leave
+# $\mathcal{X}$, and $\mathcal{X}$ itself is not safe. The intersection cuts this side off, and the iteration continues
+# with $\mathcal{F}_1$.
 #
-# **When to stop.** $\mathcal{F}_k$ is robustly positively invariant (RPI) once $\mathcal{R}_1(\mathcal{F}_k)$ lies in
-# it. It suffices to look at $\mathcal{X}$: the sets are nested, $\mathcal{F}_k \subseteq \mathcal{F}_{k-1}$, hence
+# **When to stop.** $\mathcal{F}_k$ is robustly positively invariant (RPI) if
+# $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{F}_k$. It suffices to check
+# $\overline{\mathcal{R}}_1(\mathcal{F}_k) \subseteq \mathcal{X}$. The sets are nested,
+# $\mathcal{F}_k \subseteq \mathcal{F}_{k-1}$, hence
 # $\overline{\mathcal{R}}_1(\mathcal{F}_k) \subseteq \overline{\mathcal{R}}_1(\mathcal{F}_{k-1})$. If the left-hand side
-# is also in $\mathcal{X}$, it is in the intersection of the two, which is $\mathcal{F}_k$. This is Proposition Fmax:
+# also lies in $\mathcal{X}$, it lies in $\overline{\mathcal{R}}_1(\mathcal{F}_{k-1}) \cap \mathcal{X} = \mathcal{F}_k$.
+# This is Prop. 3, Fmax:
 
 # %%
 history, images = [X], [mr.outer_step(loop, X, C_box)]
 while not images[-1].is_subset(X) and len(history) < 100:  # stop: R_1-bar(F_k) in X
-    history.append(images[-1] & X)  # eq. Fk
+    history.append(images[-1] & X)  # eq. (21), Fk
     images.append(mr.outer_step(loop, history[-1], C_box))
 print("F_max = F_k with k =", len(history) - 1)
 
 
 # %%
 def draw_iteration(ax, k, history=history, images=images):
-    """F_k, and dashed what one step makes of it."""
+    """F_k, and its one-step image (dashed)."""
     plotting.draw_set(ax, X, **LIMITS)
     plotting.draw_set(ax, history[k], **plotting.SAFE, label=rf"$\mathcal{{F}}_{{{k}}}$")
     name = rf"$\overline{{\mathcal{{R}}}}_1(\mathcal{{F}}_{{{k}}})$"
@@ -120,11 +125,11 @@ for k, ax in enumerate(np.ravel(axes)):
 plt.show()
 
 # %% [markdown]
-# **What to see.** Left: the image (dashed) of $\mathcal{F}_0 = \mathcal{X}$ (green on top of grey) sticks out at the
-# bottom. Right, the last panel: the image of $\mathcal{F}_k$ lies inside $\mathcal{X}$, and therefore inside
-# $\mathcal{F}_k$. That is $\mathcal{F}_{\max}$.
+# **What to see.** Left: the image (dashed) of $\mathcal{F}_0 = \mathcal{X}$ (green on top of grey) extends beyond
+# $\mathcal{X}$ at the bottom. Right, the last panel: the image of $\mathcal{F}_k$ lies inside $\mathcal{X}$, and
+# therefore inside $\mathcal{F}_k$. This set is $\mathcal{F}_{\max}$.
 #
-# The library does the same, with rounding taken care of, and says whether the result is *proven*:
+# The library does the same, takes care of rounding, and states whether the result is *proven*:
 
 # %% tags=["nbval-check-output"]
 safe = mr.safe_set(loop, C_box)
@@ -134,15 +139,15 @@ print(f"F_max = [{lower[0]:.2f}, {upper[0]:.2f}] x [{lower[1]:.2f}, {upper[1]:.2
 print("same set as by hand:", np.abs(safe.set.support(C_box) - history[-1].support(C_box)).max() < 1e-9)
 
 # %% [markdown]
-# ### Which sides of $\mathcal{F}_1$ are the network's doing?
+# ### Which sides of $\mathcal{F}_1$ depend on the network?
 #
-# All $B^{(i)}$ are $(1, 0)^\top$: the input moves $x_1^+$ only. For *any* controller with values in $\mathcal{U}$, the
-# image of $\mathcal{X}$ along a direction $v$ therefore reaches
+# All $B^{(i)}$ are $(1, 0)^\top$: the input acts on $x_1^+$ only. For *any* controller with values in $\mathcal{U}$,
+# the image of $\mathcal{X}$ along a direction $v$ therefore extends to
 #
 # $$\max_i \; \max_{x \in \mathcal{P}^{(i)}} v A^{(i)} x + h_{\mathcal{D}}(v) + v B u
 #   \quad\text{for some } u \in [-1, 1].$$
 #
-# No network is needed to compute the smallest and the largest value that this can take, cut at $\mathcal{X}$:
+# We can compute the smallest and the largest possible value, limited by $\mathcal{X}$, without a network:
 
 # %% tags=["nbval-check-output"]
 limits = {"right": (1, 0), "top": (0, 1), "left": (-1, 0), "bottom": (0, -1)}
@@ -157,10 +162,10 @@ for (name, v), here in zip(limits.items(), F_1.support(C_box)):
 
 # %% [markdown]
 # **What to see.** *Top* and *bottom* follow from the modes and $\mathcal{X}$ alone: $8.37 + 0.15$, and the edge of
-# $\mathcal{X}$. The *left* side is as near as it can be, because the network does the only sensible thing in the worst
-# state $(0, -10)$ and around it: it brakes with $\Phi = +1$, so that $-8.15 + 1 - 0.15 = -7.30$. So three sides agree
-# with the paper's box $[-7.3, 8.91] \times [-10, 8.52]$ to the digit, for every network that brakes there. The *right*
-# side is what a particular network makes of it.
+# $\mathcal{X}$. The *left* side is as close to the origin as any controller allows. In the worst state $(0, -10)$ and
+# around it, the network applies the best input, full braking with $\Phi = +1$, so that $-8.15 + 1 - 0.15 = -7.30$. So
+# three sides agree with the paper's box $[-7.3, 8.91] \times [-10, 8.52]$ in every printed digit, for every network
+# that brakes there. The *right* side depends on the particular network.
 
 # %% tags=["nbval-check-output"]
 print("Phi(0, -10) =", loop.network(np.array([0.0, -10.0])).round(6))
@@ -168,8 +173,8 @@ print("Phi(0, -10) =", loop.network(np.array([0.0, -10.0])).round(6))
 # %% [markdown]
 # ### When it takes longer, and when it fails
 #
-# So few iterations are not much to look at. Let the disturbance grow to $\|d\|_\infty \le 0.5$, and compare the boxes
-# with sets of eight directions, $C_i = (\cos\frac{\pi}{4}(i-1), \; \sin\frac{\pi}{4}(i-1))$.
+# One iteration shows little. Increase the disturbance to $\|d\|_\infty \le 0.5$, and compare the boxes with sets of
+# eight directions, $C_i = (\cos\frac{\pi}{4}(i-1), \; \sin\frac{\pi}{4}(i-1))$.
 
 # %% tags=["nbval-check-output"]
 rough = loop.with_disturbance(mr.Polytope.box([-0.5, -0.5], [0.5, 0.5]))
@@ -179,8 +184,8 @@ for name, C in (("8 directions", C_eight), ("box", C_box)):
     print("   ", attempt.reason.split(":")[0])
 
 # %% [markdown]
-# With boxes the sequence comes to a set that it cannot leave, $\mathcal{F}_{k+1} = \mathcal{F}_k$, although one step
-# still leads out of $\mathcal{X}$. All of its sets:
+# With boxes the sequence reaches a set at which it stops, $\mathcal{F}_{k+1} = \mathcal{F}_k$, although one step can
+# still leave $\mathcal{X}$. All sets of the sequence:
 
 # %%
 failed = mr.safe_set(rough, C_box)
@@ -191,18 +196,18 @@ for ax in axes.flat:
 plt.show()
 
 # %% [markdown]
-# **What to see.** Each panel shows one set (blue) over its predecessors (grey): the upper and the right
-# side creep inwards, the lower and the left one never move again after the first step. The slider below shows every
-# step, with its image. It needs a running kernel; without one, the panels above are all there is.
+# **What to see.** Each panel shows one set (blue) over its predecessors (grey). The upper and the right side move
+# inwards slowly. The lower and the left side do not move after the first step. The slider below shows every step with
+# its image. It needs a running kernel. Without a kernel, use the panels above.
 
 # %%
 failed_images = [mr.outer_step(rough, F, C_box) for F in failed.history]
 step_viewer(lambda ax, k: draw_iteration(ax, k, failed.history, failed_images), len(failed.history))
 
 # %% [markdown]
-# The lower left *corner* of the box is to blame: one step from there may lead below $x_2 = -10$. That is what the
-# witness says: a state, its input, its mode, a disturbance, and where they lead. But does any trajectory get to that
-# corner? The box claims so, because a box knows only the extremes of $x_1$ and $x_2$, each by itself.
+# The lower left *corner* of the box causes the failure: one step from there may lead below $x_2 = -10$. The witness
+# shows this step: a state, its input, its mode, a disturbance, and the successor. But does any trajectory reach that
+# corner? A box cannot exclude it, because it bounds $x_1$ and $x_2$ separately.
 
 # %%
 witness = failed.witness
@@ -225,40 +230,40 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# **What to see.** Eight directions cut that corner off, and the same loop is proven safe at more than three times the
-# paper's disturbance. A refusal by one template is no statement about the loop. Exercise 06 asks how large the
+# **What to see.** Eight directions cut that corner off. The same loop is then proven safe for more than three times the
+# paper's disturbance. If one template fails, this says nothing about the loop. Exercise 06 asks how large the
 # disturbance may become, and for which template.
 
 # %% [markdown]
 # ## 3. From the safe set to a terminal set
 #
-# Back to $\|d\|_\infty \le 0.15$. $\mathcal{F}_{\max}$ is large; where do the trajectories gather? Apply the
-# one-step set again and again (eqs. ROverOver and RminOver), now with eight directions:
+# We return to $\|d\|_\infty \le 0.15$. $\mathcal{F}_{\max}$ is large. Where do its trajectories end? Apply the one-step
+# set repeatedly (eq. (19), ROverOver, and eq. (24), RminOver), now with eight directions:
 #
 # $$\overline{\mathcal{R}}_0 = \mathcal{F}_{\max}, \qquad
 #   \overline{\mathcal{R}}_k = \overline{\mathcal{R}}{}^{\mathcal{D}}_1(\overline{\mathcal{R}}_{k-1}), \qquad
 #   \overline{\mathcal{R}}_{\min} := \overline{\mathcal{R}}_{\bar k}.$$
 #
-# Each of these sets is RPI, contains the next, and contains every trajectory from step $k$ on. They shrink towards
-# a limit that is never quite reached. Eq. TerminationFmin says when to be content:
+# Each of these sets is RPI, contains the next one, and contains every trajectory from step $k$ on. They converge to a
+# limit set, which is typically not reached in finitely many steps. Eq. (25), TerminationFmin, decides when to stop:
 #
 # $$\frac{1}{1 + \bar\epsilon}\,\overline{\mathcal{R}}_{\bar k} \subseteq \overline{\mathcal{R}}{}^{\mathcal{D}}_1
 #   \!\left(\frac{1}{1 + \bar\epsilon}\,\overline{\mathcal{R}}_{\bar k}\right).$$
 #
-# A set that does not shrink in one step can never shrink below itself later. So if the scaled copy has that property,
-# the limit is caught between the copy and $\overline{\mathcal{R}}_{\bar k}$. By hand:
+# A set that lies in its own one-step set also lies in all later ones. So if the scaled copy has this property, the
+# limit set lies between the copy and $\overline{\mathcal{R}}_{\bar k}$. By hand:
 
 
 # %%
 def near_limit(R, epsilon=1e-3):
-    """Eq. TerminationFmin."""
+    """Eq. (25), TerminationFmin."""
     S = R.scale(1 / (1 + epsilon))
     return S.is_subset(mr.outer_step(loop, S, C_eight))
 
 
 sequence = [safe.set]  # R_0-bar = F_max
 while (len(sequence) == 1 or not near_limit(sequence[-1])) and len(sequence) < 300:
-    sequence.append(mr.outer_step(loop, sequence[-1], C_eight))  # eq. RminOver
+    sequence.append(mr.outer_step(loop, sequence[-1], C_eight))  # eq. (24), RminOver
 print("k-bar =", len(sequence) - 1)
 
 # %% tags=["nbval-check-output"]
@@ -277,9 +282,9 @@ for ax in axes.flat:
 plt.show()
 
 # %% [markdown]
-# **What to see.** The first step cuts off two whole corners of the box; after it the sets become rounder and
-# shrink a little in every step, until after some twenty there is little left to see at this scale. The slider (running
-# kernel) shows all sets; from step 20 on it moves closer.
+# **What to see.** The first step cuts off two whole corners of the box. After it the sets become rounder and shrink a
+# little in every step. After about twenty steps the changes are hardly visible at this scale. The slider (running
+# kernel) shows all sets, from step 20 on at a larger scale.
 
 
 # %%
@@ -293,8 +298,8 @@ def draw_step(ax, k):
 step_viewer(draw_step, len(terminal.history))
 
 # %% [markdown]
-# How the sequence settles, in numbers: on the left the supports $h_{\overline{\mathcal{R}}_k}(C_i)$, on the right by
-# how much eq. TerminationFmin is violated, $\max_i h_S(C_i) - h_{\overline{\mathcal{R}}_1(S)}(C_i)$ with
+# The next figure shows the convergence in numbers. Left: the supports $h_{\overline{\mathcal{R}}_k}(C_i)$. Right: the
+# violation of eq. (25), TerminationFmin, $\max_i h_S(C_i) - h_{\overline{\mathcal{R}}_1(S)}(C_i)$ with
 # $S = \overline{\mathcal{R}}_k / (1 + \bar\epsilon)$.
 
 # %%
@@ -313,9 +318,9 @@ right.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** After some 25 steps the left panel stands still to the eye, but the sets still shrink by less and
-# less, at last by about the same factor a step. Right: the violation falls below zero at $\bar k$ (no dot there).
-# With a smaller $\bar\epsilon$ it would take longer, without changing the picture.
+# **What to see.** After about 25 steps the curves on the left look constant. The sets still shrink, by less and less;
+# in the end the change decreases by about the same factor per step. Right: the violation falls below zero at $\bar k$
+# (no dot there). A smaller $\bar\epsilon$ needs more steps but does not change the picture.
 #
 # Figure 1 of the paper, for this network:
 
@@ -325,14 +330,15 @@ plotting.plot_sequence(ax, case.system, safe, terminal)
 plt.show()
 
 # %% [markdown]
-# **What to see.** Green $\mathcal{F}_{\max}$, black the sets in between, blue (magnified in the corner) the terminal
-# set. Whatever the disturbance does, from anywhere in green the state is in blue after $\bar k$ steps and stays there.
+# **What to see.** Green: $\mathcal{F}_{\max}$. Black: the sets in between. Blue (magnified in the corner): the terminal
+# set. For every disturbance and every initial state in the green set, the state is in the blue set after $\bar k$ steps
+# and stays there.
 
 # %% [markdown]
 # ## 4. Trajectories: try to refute it
 #
-# A proof that is right survives an attack. We let 20,000 trajectories start anywhere in $\mathcal{F}_{\max}$, with
-# disturbances at the *corners* of $\mathcal{D}$ only, chosen at random.
+# We test the proof by simulation. We simulate 20,000 trajectories that start anywhere in $\mathcal{F}_{\max}$. The
+# disturbances are random *corners* of $\mathcal{D}$.
 
 # %% tags=["nbval-check-output"]
 rng = np.random.default_rng(6)
@@ -357,15 +363,15 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** Both bundles stay inside $\mathcal{F}_{\max}$ and end in the small red set. They enter it long before
-# $\bar k$: the steps after that are needed for the *limit*, not for the trajectories. And one of the bundles
-# does not look like a tube at all: some of its lines part from the black nominal one in the middle of the way.
+# $\bar k$: the remaining steps are needed for the convergence of the *sets*, not of the trajectories. One of the
+# bundles does not look like a tube: halfway, some of its lines leave the nominal trajectory (black).
 
 # %% [markdown]
 # ## 5. The jump phenomenon
 #
-# In which region is a disturbed trajectory, and in which is the nominal one at the same step? We count, for the bundle
-# that starts in the lower left corner, how many of 100 are in another region than the nominal state, and how far the
-# farthest has gone from it.
+# In which region is a disturbed trajectory, and in which region is the nominal one at the same step? We take the 100
+# trajectories that start in the lower left corner. We count how many of them are in another region than the nominal
+# state, and compute the largest distance from it.
 
 
 # %% tags=["nbval-check-output"]
@@ -381,7 +387,7 @@ for k in range(8):
     print(f"k = {k}: {other[:, k].sum():3d} in another region, farthest {distance[k]:.1f} away")
 
 # %%
-j = int(np.argmax(np.diff(distance)))  # the step that throws the bundle apart
+j = int(np.argmax(np.diff(distance)))  # the step with the largest increase of the distance
 reach = mr.outer_reach(loop, mr.Polytope.box(path[0], path[0]), C_eight, j + 1)
 fig, axes = plt.subplots(1, 2, figsize=(8, 4.1), layout="constrained")
 for ax, k in zip(axes, (j, j + 1)):
@@ -397,26 +403,26 @@ fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", nco
 plt.show()
 
 # %% [markdown]
-# **What to see.** Left: the states at one step, a single small cloud, lie across a region boundary (grey line).
-# Triangles are on the other side of it than the nominal state (star). Right, one step later: two clouds, several
-# units apart. The table above says how far the farthest state was before and after this step: small disturbances did
-# the former, the *jump of the map* the rest. A linear error analysis around the nominal trajectory would miss it.
-# The reachable set (black) cannot: every mode whose closed region meets the set enters the maximum. Being convex, it
-# covers the gap between the clouds as well.
+# **What to see.** Left: the states at one step form a single small cloud across a region boundary (grey line).
+# Triangles mark states that are not in the region of the nominal state (star). Right, one step later: there are two
+# clouds, several units apart. The table above gives the largest distance before and after this step. Small disturbances
+# cause the distance before it; the *jump of the map* causes the rest. A linear error analysis around the nominal
+# trajectory would miss the jump. The reachable set (black) includes it, because the maximum is taken over every mode
+# whose closed region meets the set. The reachable set is convex, so it also covers the gap between the clouds.
 #
-# Near the origin all four regions meet, so most disturbed states are then in another region than the nominal one.
-# That does no harm: the four maps agree at the origin, so the jumps near it are small.
+# Near the origin all four regions meet, so most disturbed states are in another region than the nominal state. This is
+# harmless: the four maps agree at the origin, so the jumps near it are small.
 
 # %% [markdown]
 # ## 6. Theorem 1 in numbers
 #
-# Theorem 1 asks for an $\alpha > 1$ with (eq. StabCondFmin)
+# Theorem 1 (Theorem 4 in the preprint's numbering, BoundedStab) requires an $\alpha > 1$ with (eq. (26), StabCondFmin)
 #
-# $$\alpha\,\overline{\mathcal{R}}_{\bar k} \subseteq \overline{\mathcal{R}}_{\bar k - 1},$$
+# $$\alpha\,\overline{\mathcal{R}}_{\bar k} \subseteq \overline{\mathcal{R}}_{\bar k - 1}.$$
 #
-# that is, the last step must still have shrunk the set in *every* direction. Both sets have the rows $C$, so the
-# largest such $\alpha$ is a ratio of supports, and the proof's tube around $\overline{\mathcal{R}}_{\min}$ has
-# the radius
+# So the last step must have shrunk the set in *every* direction. Both sets have the normals $C$, so the largest such
+# $\alpha$ is a ratio of supports. The tube around $\overline{\mathcal{R}}_{\min}$ in the proof has the radius
+# $\delta_{\max}$:
 #
 # $$\alpha_k = \min_i \frac{h_{\overline{\mathcal{R}}_{k-1}}(C_i)}{h_{\overline{\mathcal{R}}_k}(C_i)}, \qquad
 #   \delta_{\max} = (\alpha - 1) \min_i h_{\overline{\mathcal{R}}_{\bar k}}(C_i).$$
@@ -436,16 +442,17 @@ print(f"delta_max = {delta_max:.2g}")
 print(f"Theorem 1 applies at {len(terminal.stable_steps)} of the {terminal.steps} steps")
 
 # %% [markdown]
-# The margin is tiny, and it must be: a sequence that has nearly converged hardly shrinks any more. How does
-# $\alpha_k$ develop? And what does the proof use? It goes through
+# The margin is necessarily small, because a sequence that has nearly converged hardly shrinks any more. How does
+# $\alpha_k$ develop? And what does the proof use? It uses
 #
 # $$\overline{\mathcal{R}}_1(\alpha\,\overline{\mathcal{R}}_k) \subseteq
-#   \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_{k-1}) = \overline{\mathcal{R}}_k$$
+#   \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_{k-1}) = \overline{\mathcal{R}}_k,$$
 #
-# and of this only that the left end lies in the right end. Eq. StabCondFmin is one way to get there, not the only one.
-# If a facet has *come to rest*, $h_{\overline{\mathcal{R}}_k}(C_i) = h_{\overline{\mathcal{R}}_{k-1}}(C_i)$, then
-# $\alpha_k = 1$ exactly and the theorem as it stands says nothing. Yet one step from a slightly larger set may still
-# lead into $\overline{\mathcal{R}}_k$. `mr.contraction` finds the largest $\alpha$ with
+# and of this chain only that the first set lies in the last. Eq. (26), StabCondFmin, is sufficient for this inclusion,
+# but not necessary. If a facet *does not move*,
+# $h_{\overline{\mathcal{R}}_k}(C_i) = h_{\overline{\mathcal{R}}_{k-1}}(C_i)$, then $\alpha_k = 1$ exactly, and the
+# theorem does not apply. One step from a slightly larger set may still lead into $\overline{\mathcal{R}}_k$.
+# `mr.contraction` computes the largest $\alpha$ with
 # $\mathcal{R}_1(\alpha\,\overline{\mathcal{R}}_k) \subseteq \overline{\mathcal{R}}_k$ by bisection.
 
 # %%
@@ -458,7 +465,7 @@ ax.semilogy(k, direct, "o--", color=plotting.ORANGE, markersize=5, label=r"$\alp
 ax.semilogy(k[~rest], shrink[~rest], ".-", color=plotting.BLUE, label=r"$\alpha_k$ of eq. StabCondFmin")
 paper = case.paper["alpha"] - 1
 bottom = min(paper, shrink[~rest].min()) / 10
-floor = np.full(rest.sum(), bottom)  # a place on the log scale for alpha_k - 1 = 0
+floor = np.full(rest.sum(), bottom)  # where to draw alpha_k - 1 = 0 on the log scale
 ax.plot(k[rest], floor, "x", color=plotting.RED, markersize=9, label=r"$\alpha_k = 1$: Theorem 1 silent")
 ax.axhline(paper, color=plotting.GREY, linestyle=":", label=r"the paper's $\alpha - 1$ at $\bar k = 51$")
 ax.set(xlabel="$k$", ylabel=r"$\alpha - 1$", ylim=(bottom / 3, 1))
@@ -466,14 +473,15 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# **What to see.** The blue curve is a hump: the sets shrink in every direction by several percent for a while, then
-# more and more slowly, along a straight line in this scale. Where a facet rests (red cross) the blue value is missing,
-# the orange one is not. Towards $\bar k$ both fall alike. The paper's number (dotted) is of the same kind: about a
-# millionth is what that sequence had left. That is also about the feasibility tolerance of a MILP solver; only
-# sets that are computed more precisely can tell such an $\alpha$ from 1.
+# **What to see.** The blue curve rises and then falls. For a while the sets shrink in every direction by several
+# percent. Then they shrink more and more slowly, along a straight line in this scale. Where a facet does not move (red
+# cross), the blue value is missing and the orange one is not. Towards $\bar k$ both fall alike. The paper's number
+# (dotted) is of the same kind: in that sequence a contraction of about a millionth was left. This is about the
+# feasibility tolerance of a MILP solver. Only sets that are computed more precisely can distinguish such an $\alpha$
+# from 1.
 #
-# A consequence: who wants a *robust* statement of stability takes an earlier $k$. All the sets are RPI and attract
-# all of $\mathcal{F}_{\max}$; a larger one comes with a wider tube.
+# For a *robust* statement of stability, take an earlier $k$. All these sets are RPI and attract all of
+# $\mathcal{F}_{\max}$, and a larger set has a wider tube.
 
 # %% tags=["nbval-check-output"]
 best = int(np.argmax(shrink)) + 1
@@ -485,10 +493,10 @@ print("contraction is never below alpha:", (direct >= shrink - 1e-8).all())
 # %% [markdown]
 # ## 7. The scaled minimal RPI set
 #
-# For linear systems one goes the other way: start from the origin and let the sets *grow*,
-# $\underline{\mathcal{R}}_{\min} = (1 + \underline\epsilon)\,\overline{\mathcal{R}}_{\underline k}(\mathbf 0)$ with the
-# first $\underline k$ at which that is RPI. For a PWA system nothing says that trajectories from $\mathcal{F}_{\max}$
-# ever get there: another attractor may keep them. Here one can check:
+# For linear systems one usually proceeds the other way. The sets start from the origin and *grow*,
+# $\underline{\mathcal{R}}_{\min} = (1 + \underline\epsilon)\,\overline{\mathcal{R}}_{\underline k}(\mathbf 0)$, where
+# $\underline k$ is the first step at which this set is RPI. For a PWA system, trajectories from $\mathcal{F}_{\max}$
+# need not reach this set; another attractor may keep them. For this loop we can check it:
 
 # %% tags=["nbval-check-output"]
 minimal = mr.scaled_minimal_set(loop, C_eight, epsilon=1e-3, safe=safe)
@@ -509,9 +517,9 @@ plotting.legend_above(ax, 3)
 plt.show()
 
 # %% [markdown]
-# **What to see.** The black sets grow from the origin and close in on the outline of the blue set from inside: here the
-# two constructions meet, and $\mathcal{F}_{\max}$ does reach the scaled minimal set. For this loop nothing is
-# lost by going from outside, and nothing has to be hoped for.
+# **What to see.** The black sets grow from the origin and approach the outline of the blue set from inside. For this
+# loop the two constructions give nearly the same set, and $\mathcal{F}_{\max}$ does reach the scaled minimal set. The
+# construction from outside loses nothing here, and it needs no such check.
 
 # %% [markdown]
 # ## 8. The paper's numbers beside ours
@@ -528,18 +536,20 @@ for name, paper, here in rows:
     print(f"{name:20} paper {paper!s:>15}   here {here!s:>15}")
 
 # %% [markdown]
-# What differs depends on the trained network, and the paper's is not published. How typical such numbers are
-# is a question for many networks: notebook 10.
+# The differences depend on the trained network, and the paper's network is not published. Notebook 10 examines for many
+# networks how typical such numbers are.
 #
 # ## What you saw
 #
-# - Proposition Fmax is a loop of two lines; its test, $\overline{\mathcal{R}}_1(\mathcal{F}_k) \subseteq \mathcal{X}$,
-#   is exact for the sequence. Two sides of $\mathcal{F}_{\max}$ have nothing to do with the network here.
-# - A template can fail where another succeeds; the witness shows at which state.
-# - Eq. TerminationFmin sandwiches the limit. The sets keep shrinking after the trajectories have long arrived.
-# - Reachable sets include jumps at region boundaries; the nominal trajectory tells nothing about them.
-# - Theorem 1 needs $\alpha > 1$, which becomes tiny near the limit; its proof needs only a contraction, which is there
-#   even where facets rest.
+# - The iteration of Prop. 3, Fmax, is a loop of two lines. Its stopping test,
+#   $\overline{\mathcal{R}}_1(\mathcal{F}_k) \subseteq \mathcal{X}$, is exact for the sequence. Two sides of
+#   $\mathcal{F}_{\max}$ do not depend on the network here.
+# - One template can fail where another succeeds. The witness shows at which state.
+# - Eq. (25), TerminationFmin, bounds the limit set from inside and outside. The sets keep shrinking long after the
+#   trajectories have arrived.
+# - Reachable sets include jumps at region boundaries. The nominal trajectory does not show them.
+# - Theorem 1 needs $\alpha > 1$, and $\alpha - 1$ becomes very small near the limit. Its proof needs only a
+#   contraction, which exists even where facets do not move.
 #
 # ## On your own
 #
@@ -557,6 +567,6 @@ for name, paper, here in rows:
 # - S. V. Raković, E. C. Kerrigan, K. I. Kouramas, D. Q. Mayne: *Invariant approximations of the minimal robust
 #   positively invariant set*, IEEE TAC 50(3), 2005: the construction from inside, for linear systems.
 # - D. Mignone, G. Ferrari-Trecate, M. Morari: *Stability and stabilization of piecewise affine and hybrid systems: an
-#   LMI approach*, CDC 2000: where the four modes are from.
+#   LMI approach*, CDC 2000: the source of the four modes.
 #
-# **Next:** notebook 07 turns a nonlinear plant into a PWA system whose disturbance set provably holds the error.
+# **Next:** notebook 07 turns a nonlinear plant into a PWA system whose disturbance set provably contains the error.

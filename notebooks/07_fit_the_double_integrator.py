@@ -11,21 +11,21 @@
 # %% [markdown]
 # # Replace a nonlinear plant by nine affine ones, and prove the error
 #
-# Everything so far needed a piecewise-affine plant. The paper's second plant is not: it is a double integrator with a
-# quadratic term. The way out is to fit a PWA system to it and to treat the error of the fit as a disturbance. That
-# is only as good as the bound on the error.
+# The notebooks so far use a piecewise-affine plant. The paper's second plant is not piecewise affine: it is a double
+# integrator with a quadratic term. We fit a PWA system to it and treat the error of the fit as a disturbance. The
+# analysis is then only as good as the bound on this error.
 #
-# **What you will do.** Fit nine affine maps on a chessboard, look at the error over the whole state set, and prove a
-# bound on it, first by hand with intervals, then with the library.
+# **What you will do.** Fit nine affine maps, one per square of a chessboard. Look at the error over the whole state
+# set. Prove a bound on it, first by hand with intervals, then with the library.
 #
 # **What you will learn.**
-# - how least squares and minimax fits differ, and where the paper's 0.1186 comes from;
-# - why the largest error on a grid proves nothing, and what does;
+# - how least-squares and minimax fits differ, and where the paper's 0.1186 comes from;
+# - why the largest error on a grid proves nothing, and how to prove a bound;
 # - that the shape of the error set (box or segment) matters for the safe set;
-# - what more regions buy, and what they cost.
+# - what more regions gain, and what they cost.
 #
-# **What you need.** Notebooks 03 and 04; from 06 the words *safe set* and *terminal set*. "Run all" takes about
-# 20 seconds.
+# **What you need.** Notebooks 03 and 04; from 06 the terms *safe set* and *terminal set*. "Run all" takes about 20
+# seconds.
 
 # %%
 from itertools import pairwise
@@ -45,11 +45,11 @@ print(case)
 # ## 1. The plant
 #
 # $$f(x, u) = \begin{pmatrix} 1 & 1 \\ 0 & 1 \end{pmatrix} x + \begin{pmatrix} 0.5 \\ 1 \end{pmatrix} u
-#   + \begin{pmatrix} 0.025 \\ 0.025 \end{pmatrix} x^\top x \qquad\text{(eq. NL_DI)}$$
+#   + \begin{pmatrix} 0.025 \\ 0.025 \end{pmatrix} x^\top x \qquad\text{(eq. (29), NL_DI)}$$
 #
-# with $\|x\|_\infty \le 6$ and $|u| \le 2$. The *bend* $0.025\, x^\top x$ is all that an affine map cannot do. It
-# is the same in both components, and $u$ has no part in it. Nine regions $\mathcal{P}^{(i)}$, squares of side 4, divide
-# $\mathcal{X}$ like a chessboard.
+# with $\|x\|_\infty \le 6$ and $|u| \le 2$. Only the *quadratic term* $0.025\, x^\top x$ is not affine (*the bend* in
+# the figures). It is the same in both components and does not depend on $u$. Nine regions $\mathcal{P}^{(i)}$, squares
+# of side 4, divide $\mathcal{X}$ like a chessboard.
 
 # %%
 axis = np.linspace(-6, 6, 241)
@@ -62,17 +62,18 @@ plotting.label_axes(ax, X, r"the bend $0.025\, x^\top x$")
 plt.show()
 
 # %% [markdown]
-# **What to see.** The bend reaches 1.8 in the corners: without regions, its disturbance set would swamp everything.
-# Within one square (grey) it varies by much less than over $\mathcal{X}$, and much of that is affine.
+# **What to see.** The quadratic term reaches 1.8 in the corners. Without regions, the error set would be far too large.
+# Within one square (grey) the term varies by much less than over $\mathcal{X}$, and most of this variation is affine.
 #
 # ## 2. Least squares in one region, by hand
 #
-# In region $i$ we look for
+# In region $i$ we solve
 #
 # $$\min_{A^{(i)}, B^{(i)}, p^{(i)}} \; \sum_{j} \big\| f(x_j, u_j) - A^{(i)} x_j - B^{(i)} u_j - p^{(i)} \big\|_2^2$$
 #
-# over points $(x_j, u_j)$ of a grid in $\mathcal{P}^{(i)}$. The paper does not say which; ten points along each axis of
-# $(x, u)$, ends included, give its number. The square to the right of the middle, $[2, 6] \times [-2, 2]$:
+# over points $(x_j, u_j)$ of a grid in $\mathcal{P}^{(i)}$. The paper does not state the grid. Ten points along each
+# axis of $(x, u)$, ends included, reproduce its number. We take the square to the right of the middle,
+# $[2, 6] \times [-2, 2]$:
 
 # %% tags=["nbval-check-output"]
 axes = [np.linspace(2, 6, 10), np.linspace(-2, 2, 10), np.linspace(-2, 2, 10)]
@@ -84,10 +85,11 @@ print("A, B, p =", (theta + 0.0).round(4).tolist())
 print("errors between", errors.min().round(6), "and", errors.max().round(6))
 
 # %% [markdown]
-# **What to see.** $B$ is exact, and so is what $A$ was before plus $0.05$ times the square's middle in the column of
-# $x_1$: the slope of the bend there. The largest error is 0.118519, which the paper rounds up to 0.1186.
+# **What to see.** The fit recovers $B$ exactly. $A$ is the linear part, plus the slope of the quadratic term at the
+# centre of the square: $0.05$ times the $x_1$ of the centre, in the column of $x_1$. The largest error is 0.118519,
+# which the paper rounds up to 0.1186.
 #
-# The library fits all nine regions, and this case study has done so already (`case.fit`):
+# The library fits all nine regions. The case study contains the result (`case.fit`):
 
 # %% tags=["nbval-check-output"]
 fit = mr.fit_pwa(plant, [mode.region for mode in case.system.modes], method="least_squares", grid=10)
@@ -98,13 +100,15 @@ print(f"largest error on the grids of all nine regions: {fit.max_error:.6f}")
 # %% [markdown]
 # ## 3. Least squares against minimax
 #
-# We do not need a fit that is good *on average*: the worst error becomes the disturbance bound. The fit for that is
+# A fit that is good *on average* is not what we need, because the largest error becomes the disturbance bound. The
+# suitable fit is
 #
-# $$\min_{A, B, p} \; \max_{(x, u) \in \mathcal{P}^{(i)}} \big\| f(x, u) - A x - B u - p \big\|_\infty,$$
+# $$\min_{A, B, p} \; \max_{(x, u) \in \mathcal{P}^{(i)}} \big\| f(x, u) - A x - B u - p \big\|_\infty.$$
 #
-# on a grid a linear program ($\min t$ subject to $-t \le f_l(x_j, u_j) - \dots \le t$). Here one sees the answer
-# without any: of the bend $0.025 (\xi_1^2 + \xi_2^2)$, seen from the middle of a square, with $|\xi_l| \le 2$, only the
-# constant can be matched. It ranges from 0 to 0.2, so the best constant is 0.1, and 0.1 the error.
+# On a grid this is a linear program ($\min t$ subject to $-t \le f_l(x_j, u_j) - \dots \le t$). Here we can also find
+# the solution by hand. Seen from the centre of a square, the quadratic term is $0.025 (\xi_1^2 + \xi_2^2)$ with
+# $|\xi_l| \le 2$. By symmetry, an affine map can match only a constant. The term ranges from 0 to 0.2, so the best
+# constant is 0.1, and the error is 0.1.
 
 # %% tags=["nbval-check-output"]
 minimax = double_integrator_fit(method="minimax")
@@ -131,10 +135,10 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# **What to see.** One bowl after the other, and a sharp tooth where two regions meet (grey): there the slope of
-# the error jumps from steeply up to steeply down. The two fits have the same slopes and differ by a constant: least
-# squares keeps the many points inside closer to zero and pays for it at the edges; minimax balances both ends. Over the
-# whole square the corners, not seen in this cut, are worst.
+# **What to see.** The error is a parabola in each region, with a sharp kink where two regions meet (grey). There the
+# slope changes abruptly from steeply rising to steeply falling. The two fits have the same slopes and differ by a
+# constant. Least squares keeps the error of the many inner points closer to zero and has a larger error at the edges.
+# Minimax balances both. Over the whole square the error is largest in the corners, which this cut does not show.
 #
 # ## 4. The error over all of $\mathcal{X}$
 
@@ -162,10 +166,10 @@ fig.colorbar(shown, label="$f_1 - f_{PWA,1} = f_2 - f_{PWA,2}$")
 plt.show()
 
 # %% [markdown]
-# **What to see.** The same bowl nine times: negative in the middle of every square, largest in its corners, four of
-# which meet at each inner crossing. (Contours below zero are dashed.) The error is continuous here, as neighbouring
-# bowls are mirror images of each other; what jumps is its slope. That is a coincidence of equal squares. With unequal
-# regions the fitted map itself jumps:
+# **What to see.** The error has the same shape nine times. It is negative in the middle of every square and largest in
+# the corners, four of which meet at each inner crossing. (Contours below zero are dashed.) The error is continuous
+# here, because neighbouring parabolas are mirror images of each other; only its slope jumps. This is a coincidence of
+# equal squares. With unequal regions the fitted map itself jumps:
 
 # %%
 edges = [-6.0, -3.0, 1.0, 6.0]  # along x1, unequal
@@ -182,14 +186,14 @@ ax.set(xlabel="$x_1$ (at $x_2 = 0$, $u = 0$)", ylabel="$f_1 - f_{PWA,1}$")
 plt.show()
 
 # %% [markdown]
-# **What to see.** A saw whose teeth end abruptly: on the two sides of an edge the error has different values, and the
-# widest region errs most. Where regions share an edge, both maps count (notebook 03).
+# **What to see.** The error is discontinuous: on the two sides of an edge it has different values, and it is largest in
+# the widest region. Where regions share an edge, both maps apply (notebook 03).
 #
 # ## 5. What a grid cannot prove
 #
-# Lemma RkNonlinear and Theorem 2 assume $f(x, u) - f_{PWA}(x, u) \in \mathcal{D}^{(i)}$ for *all* $x \in \mathcal{X}$,
-# $u \in \mathcal{U}$. A largest error over grid points is a claim about grid points. Watch what happens to it when the
-# grid becomes coarse:
+# Lemma 5, RkNonlinear, and Theorem 2 assume $f(x, u) - f_{PWA}(x, u) \in \mathcal{D}^{(i)}$ for *all*
+# $x \in \mathcal{X}$, $u \in \mathcal{U}$. The largest error over grid points is a statement about grid points only.
+# The next cell makes the grid coarser:
 
 # %% tags=["nbval-check-output"]
 for points in (2, 3, 4, 6, 10, 20):
@@ -199,18 +203,19 @@ for points in (2, 3, 4, 6, 10, 20):
     print(f"{points:2d} points: on the grid {result.max_error:.6f}, proven over the region {proven:.6f}: {verdict}")
 
 # %% [markdown]
-# **What to see.** With 2 points an axis the fit meets all of them and reports an error of 0, while the true one is 0.2.
-# With 4 the number is still too small. From 6 on the worst error sits in the corners of the squares, which are grid
-# points, and the number is right: so is the paper's. But nothing *on the grid* tells the cases apart.
+# **What to see.** With 2 points per axis the fit interpolates all of them and reports an error of 0, while the true
+# error is 0.2. With 4 points the number is still too small. From 6 points on the largest error occurs in the corners of
+# the squares, which are grid points, and the number is right. So the paper's number is right, too. But nothing *on the
+# grid* distinguishes these cases.
 #
 # ## 6. A proof by intervals
 #
-# To bound a function over all points, compute with all points at once. For intervals,
+# To bound a function over all points, compute with intervals that contain all points. For intervals,
 #
 # $$[a, b] + [c, d] = [a + c,\, b + d], \qquad [a, b] \cdot [c, d] = [\min\{ac, ad, bc, bd\},\, \max\{\dots\}],$$
 #
-# and the result contains every value of the function. It may contain much more. As an example take
-# $e(\xi) = \xi^3 - \xi$ on $[-1.2, 1]$, whose largest value $2 / \sqrt{27}$ is at $\xi = -1/\sqrt 3$.
+# and the result contains every value of the function. It may contain many more. As an example take
+# $e(\xi) = \xi^3 - \xi$ on $[-1.2, 1]$. Its largest value $2 / \sqrt{27}$ is attained at $\xi = -1/\sqrt 3$.
 
 
 # %% tags=["nbval-check-output"]
@@ -230,15 +235,15 @@ truth = 2 / np.sqrt(27)
 print("interval bound:", round(upper_naive(-1.2, 1.0), 4), " truth:", truth.round(4))
 
 # %% [markdown]
-# The naive bound forgets that both $\xi$ are the same number. *Taylor forms* remember more: with midpoint $c$,
-# radius $r$ and any bounds on a derivative over the interval,
+# The naive bound ignores that both occurrences of $\xi$ are the same number. *Taylor forms* keep part of this
+# information. With midpoint $c$, radius $r$ and any bounds on a derivative over the interval,
 #
 # $$e(\xi) \le e(c) + \max_{[a, b]} |e'| \cdot r \quad\text{(first order)},$$
 #
 # $$e(\xi) \le e(c) + \max_{|h| \le r} \big( e'(c)\, h + \tfrac12 q\, h^2 \big),
 #   \quad q = \max_{[a, b]} e'' \quad\text{(second order)}.$$
 #
-# The second is what `mr.prove_error` uses, in several variables.
+# `mr.prove_error` uses the second form, in several variables.
 
 
 # %%
@@ -272,12 +277,12 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** All three are bounds: no curve falls below zero. Twice as many pieces halve the excess of the
-# intervals and quarter that of the first order (slopes $-1$ and $-2$). The second order falls faster still, in jerks:
-# it depends on how near the maximum is to the middle of its piece.
+# **What to see.** All three are bounds: no curve falls below zero. With twice as many pieces, the excess of the
+# interval bound is halved, and that of the first-order bound is quartered (slopes $-1$ and $-2$). The second-order
+# bound converges faster still, but not smoothly: it depends on how near the maximum is to the middle of its piece.
 #
-# Equal pieces are wasteful. *Branch and bound* cuts only pieces that may still hold the maximum: those whose bound
-# exceeds the largest value attained so far.
+# Equal pieces are inefficient. *Branch and bound* splits only pieces that may still contain the maximum, i.e. pieces
+# whose bound exceeds the largest value attained so far.
 
 
 # %%
@@ -302,11 +307,11 @@ for name, upper in bounds.items():
     print(f"{name:>12}: bound - truth {'below 1e-8' if bound - truth < 1e-8 else 'above 1e-8'} after {count} pieces")
 
 # %% [markdown]
-# **What to see.** The second order is done after a few dozen pieces; plain intervals run into the limit of 2000 with
-# pieces around the maximum that all *might* hold it.
+# **What to see.** The second-order form needs only a few dozen pieces. Plain intervals reach the limit of 2000 pieces,
+# with many pieces around the maximum that *might* all contain it.
 #
-# One thing is missing from this little program: it rounds. `mr.prove_error` computes in *ball arithmetic* (midpoint and
-# radius, the radius covers every rounding error), and rounds what it reports upward:
+# This small program ignores rounding errors. `mr.prove_error` computes in *ball arithmetic* (midpoint and radius, where
+# the radius covers every rounding error) and rounds its result upward:
 
 # %% tags=["nbval-check-output"]
 proof = mr.prove_error(plant, case.fit.modes)
@@ -315,8 +320,8 @@ print(f"proven bound: {proof.bound[:, 0].max():.6f}, attained: {proof.attained[:
 print("gap below 1e-9:", proof.gap.max() < 1e-9, "  complete:", proof.complete.all())
 
 # %% [markdown]
-# **What to see.** One box a region is enough here: $f$ is quadratic, so the second-order form is exact. Other plants
-# need more, for instance $f = (\sin x_1 + x_2,\; x_2 + u)$:
+# **What to see.** One box per region is enough here: $f$ is quadratic, so the second-order form is exact. Other plants
+# need more boxes, for instance $f = (\sin x_1 + x_2,\; x_2 + u)$:
 
 # %%
 sine = mr.NonlinearSystem(lambda x, u: (np.sin(x[0]) + x[1], x[1] + u[0]), X, U)
@@ -327,8 +332,8 @@ print(f"largest error on the grid {sine_fit.max_error:.6f}, proven {sine_fit.pro
 # %% [markdown]
 # ## 7. The error set: box or segment
 #
-# The paper puts the error into the box $\|d\|_\infty \le 0.1186$. But both components of the error are the *same
-# number* between $-0.0815$ and $0.1185$. Three sets that hold it, from generous to tight:
+# The paper uses the box $\|d\|_\infty \le 0.1186$ as error set. But both components of the error are the *same number*
+# between $-0.0815$ and $0.1185$. We compare three sets that contain the error, from large to tight:
 
 # %%
 rng = np.random.default_rng(7)
@@ -347,16 +352,16 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# **What to see.** All errors lie on the diagonal. A box spends its area on disturbances that cannot occur, among them
-# the corners $(-, +)$ and $(+, -)$. Both boxes and the segment are *proven* to hold the error.
+# **What to see.** All errors lie on the diagonal. A box contains many disturbances that cannot occur, among them the
+# corners $(-, +)$ and $(+, -)$. Both boxes and the segment are *proven* to contain the error.
 #
-# Does it matter? We put the shipped network into the loop with each set, and compute safe and terminal sets (eight
-# directions; the terminal set about the equilibrium, which is not the origin here: notebooks 09 and 10).
+# Does it matter? For each set, we analyse the loop with the shipped network and compute safe and terminal sets. (We use
+# eight directions, and the terminal set about the equilibrium, which is not the origin here; see notebooks 09 and 10.)
 
 
 # %%
 def analyse(result):
-    """Safe and terminal set of the shipped network on a fitted system; None where there is none."""
+    """Safe and terminal set of the shipped network on a fitted system; None where none was found."""
     loop = mr.ClosedLoop(result.system(), case.network)
     safe = mr.safe_set(loop, case.directions)
     return safe, mr.terminal_set(loop, safe, case.directions, centre="equilibrium") if safe.set is not None else None
@@ -374,14 +379,14 @@ for name, result in (("least squares", fit), ("minimax", minimax)):
             print(f"{name:15} {error:9} {numbers}")
 
 # %% [markdown]
-# **What to see.** From the first to the third row the terminal set loses much of its area, and
-# $\mathcal{F}_{\max}$ is found sooner. (It also becomes a little *smaller*: the sequence of Proposition Fmax is
-# made of images of $\mathcal{X}$, and a smaller disturbance makes smaller images. So in spite
-# of its name it is a safe set, not the largest one.)
+# **What to see.** From the first to the third row the terminal set loses much of its area, and $\mathcal{F}_{\max}$ is
+# found after fewer iterations. (It also becomes a little *smaller*. The sequence of Prop. 3, Fmax, consists of images
+# of $\mathcal{X}$, and a smaller disturbance gives smaller images. So despite its name, $\mathcal{F}_{\max}$ is a safe
+# set, not the largest one.)
 #
-# Rows two and four agree, and so do three and six: the two fits differ by a constant, and a box or segment that need
-# not be centred at 0 makes up for a constant. With a *tight* error set the choice of the fit does not
-# matter here; with the paper's symmetric box it does.
+# Rows two and four agree, and so do three and six. The two fits differ by a constant, and a box or segment need not be
+# centred at 0, so it can compensate a constant. With a *tight* error set the choice of the fit does not matter here.
+# With the paper's symmetric box it does.
 
 # %% tags=["nbval-check-output"]
 tight, tight_terminal = analyse(fit.with_error("box"))
@@ -405,13 +410,13 @@ fig.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=
 plt.show()
 
 # %% [markdown]
-# **What to see.** On the left a moderate difference; on the right the segment (dashed) leaves a markedly thinner
-# terminal set, above all across the diagonal: along $(1, -1)$ the segment has no extent at all.
+# **What to see.** On the left the difference is moderate. On the right the segment (dashed) gives a much thinner
+# terminal set, above all across the diagonal, because the segment has no extent along $(1, -1)$.
 #
-# ## 8. What more regions buy
+# ## 8. What more regions gain
 #
-# With $s$ squares along each axis their side is $12 / s$, and by the argument of section 3 the minimax error is
-# $0.025 \cdot 2\, (6/s)^2 / 2 = 0.9 / s^2$. Least squares on ten points gives $\frac{16}{15} / s^2$. The price: $s^2$
+# With $s$ squares along each axis, their side is $12 / s$. By the argument of section 3 the minimax error is
+# $0.025 \cdot 2\, (6/s)^2 / 2 = 0.9 / s^2$. Least squares on ten points gives $\frac{16}{15} / s^2$. The cost is $s^2$
 # modes, each with a binary variable in the mixed-integer program.
 
 # %% tags=["nbval-check-output"]
@@ -436,8 +441,8 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** Straight lines of slope $-2$: twice as many regions along an axis, a quarter of the error. A smooth
-# plant always gives this slope once the regions are small; the height of the line is its curvature.
+# **What to see.** Straight lines of slope $-2$: twice as many regions along an axis give a quarter of the error. A
+# smooth plant always gives this slope once the regions are small. The height of the line depends on its curvature.
 
 # %%
 print("regions  iterations  area F_max  area R_min")
@@ -449,27 +454,29 @@ for s in counts:
         print(f"{s * s:7d}  {safe.iterations:10d}  {safe.set.area:10.2f}  {terminal.set.area:10.4f}")
 
 # %% [markdown]
-# **What to see.** Coarse fits give no safe set at all, or a late one; then the terminal set shrinks with the error. All
-# that is lost to the approximation can be bought back with regions. With the exact cells (two states) that is cheap;
-# for a mixed-integer solver each region is one more binary variable a step.
+# **What to see.** Coarse fits give no safe set, or give one only after many iterations. With finer fits the terminal
+# set shrinks with the error. More regions recover everything that the approximation loses. With the exact cells (two
+# states) this is cheap. For a mixed-integer solver each region adds one binary variable per step.
 #
 # ## What you saw
 #
-# - A PWA fit and a set for its error turn a nonlinear plant into what the method can treat (Lemma RkNonlinear).
-# - 0.1186 is the least-squares error in the squares' corners; minimax gets 0.1 with the same number of regions.
-# - A grid's largest error is not a bound. Taylor forms with branch and bound give one; ball arithmetic guards
-#   it against rounding.
-# - The error set's shape counts: the error of this plant lies on a segment.
-# - The error falls with the square of the number of regions along an axis.
+# - A PWA fit and a set that contains its error turn a nonlinear plant into a system that the method can treat (Lemma 5,
+#   RkNonlinear).
+# - 0.1186 is the least-squares error in the corners of the squares. Minimax achieves 0.1 with the same number of
+#   regions.
+# - The largest error on a grid is not a bound. Taylor forms with branch and bound give a bound, and ball arithmetic
+#   accounts for rounding.
+# - The shape of the error set matters: the error of this plant lies on a segment.
+# - The error decreases with the square of the number of regions along an axis.
 #
 # ## On your own
 #
-# - Use `fit.with_error("polytope", per_mode=True)`: each region its own error set. Why does nothing change here, and
-#   for which plant would it?
-# - Fit the sine plant of section 6 with unequal regions, small ones where the sine bends most.
-# - Multiply the bend by 2. How many regions bring the error back to 0.1186, and does a safe set return?
-# - Write $f$ with `if` in it and give it to `mr.prove_error`. What does it say, and why must it?
-# - Exercise set 07: grids that deceive, a minimax fit by hand, your own Taylor bound.
+# - Use `fit.with_error("polytope", per_mode=True)`, which gives each region its own error set. Why does nothing change
+#   here, and for which plant would it?
+# - Fit the sine plant of section 6 with unequal regions, small ones where the sine has the largest curvature.
+# - Multiply the quadratic term by 2. How many regions reduce the error to 0.1186 again, and is there a safe set then?
+# - Write $f$ with an `if` statement and pass it to `mr.prove_error`. What does it report, and why?
+# - Exercise set 07: misleading grids, a minimax fit by hand, your own Taylor bound.
 #
 # ## Further reading
 #

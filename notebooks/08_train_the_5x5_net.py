@@ -11,20 +11,20 @@
 # %% [markdown]
 # # Train the 5x5 net for the double integrator
 #
-# The second case study begins like the first one: an optimal control problem is solved at many states, and a maxout
-# network learns the answers. This time the plant is nonlinear, more than a quarter of the states have no answer at all,
-# and the network will be asked there nevertheless.
+# The second case study begins like the first one: we solve an optimal control problem at many states and train a maxout
+# network on the solutions. This time the plant is nonlinear, and more than a quarter of the states have no solution.
+# The network will be evaluated at these states nevertheless.
 #
-# **What you will do.** Solve the nonlinear problem live for some states, look at the shipped data set, train two 5x5
-# maxout networks live, and look at them where they were never taught.
+# **What you will do.** Solve the nonlinear problem live for some states. Look at the shipped data set. Train two 5x5
+# maxout networks live, and compare them where there is no data.
 #
 # **What you will learn.**
 # - what nonlinear model predictive control (NMPC) computes, and what "feasible" means for its data;
-# - why the data have holes in the corners, and that no controller could fill most of them;
-# - how well 681 numbers imitate the NMPC, and that training decides nothing outside the data.
+# - why the corners contain no data, and why no controller works in most of them;
+# - how well a network with 681 parameters imitates the NMPC, and that training determines nothing outside the data.
 #
-# **What you need.** Notebook 05 (data, training, saturation) and eq. NL_DI from notebook 07. "Run all" takes about
-# half a minute, most of it for training.
+# **What you need.** Notebook 05 (data, training, saturation) and eq. (29), NL_DI, from notebook 07. "Run all" takes
+# about half a minute, most of it for training.
 
 # %%
 import matplotlib.pyplot as plt
@@ -44,20 +44,21 @@ print(data)
 # %% [markdown]
 # ## 1. The optimal control problem
 #
-# The plant is the nonlinear double integrator (eq. NL_DI)
+# The plant is the nonlinear double integrator (eq. (29), NL_DI)
 #
 # $$f(x, u) = \begin{pmatrix} 1 & 1 \\ 0 & 1 \end{pmatrix} x + \begin{pmatrix} 0.5 \\ 1 \end{pmatrix} u
 #   + \begin{pmatrix} 0.025 \\ 0.025 \end{pmatrix} x^\top x,
 #   \qquad \mathcal{X} = \{\|x\|_\infty \le 6\}, \quad \mathcal{U} = \{|u| \le 2\},$$
 #
-# and NMPC looks $N = 10$ steps ahead:
+# and NMPC has a horizon of $N = 10$ steps:
 #
 # $$\min_{u(0), \dots, u(N-1)} \; 0.8\, x(N)^\top x(N)
 #   + \sum_{k=0}^{N-1} \big( 0.8\, x(k)^\top x(k) + 0.1\, u(k)^2 \big)
 #   \quad \text{s.t.} \quad x(k+1) = f(x(k), u(k)), \; x(k) \in \mathcal{X}, \; u(k) \in \mathcal{U}.$$
 #
-# Only the first input of the optimal sequence, $u^\ast(x(0))$, is applied. `NonlinearMPC` hands the problem to CasADi
-# and IPOPT. It is not convex, so IPOPT finds *local* optima; several starts are tried and the best result is kept.
+# Only the first input of the optimal sequence, $u^\ast(x(0))$, is applied. `NonlinearMPC` solves the problem with
+# CasADi and IPOPT. The problem is not convex, so IPOPT finds *local* optima. `NonlinearMPC` uses several starting
+# points and keeps the best result.
 
 # %% tags=["nbval-check-output"]
 mpc = NonlinearMPC(plant)  # N = 10 and the weights above
@@ -87,12 +88,12 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** All three plans begin with the full input (grey lines: $|u| \le 2$) and are close to the origin after
-# about six steps. For D the solver found nothing, although D looks harmless.
+# about six steps. For D the solver found no solution, although D does not look critical.
 #
-# ## 2. The data set, and where it has holes
+# ## 2. The data set, and its gaps
 #
-# The paper takes the $30 \times 30$ grid over $\mathcal{X}$. We ship the result. First a spot check: solve some of
-# its states again, here and now.
+# The paper uses a $30 \times 30$ grid over $\mathcal{X}$. The project ships the solutions. As a test, we solve the
+# problem again at some of these states.
 
 # %% tags=["nbval-check-output"]
 rows = np.random.default_rng(0).choice(len(data), 12, replace=False)
@@ -102,13 +103,13 @@ print("12 of them solved again give the same u*:", bool(np.abs(again - data.inpu
 print(f"|u*| = 2 (on the bound) at {np.mean(np.abs(data.inputs) > 1.999):.0%} of them")
 
 # %% [markdown]
-# "Infeasible" is a solver's word: no feasible plan was *found*. But at many of these states there is a proof. One
-# step from $x$ leads to
+# "Infeasible" means that the solver *found* no feasible plan. This is not a proof. But for many of these states there
+# is a proof. One step from $x$ leads to
 #
-# $$x_1^+ = x_1 + x_2 + 0.5\,u + 0.025\, x^\top x \;\ge\; x_1 + x_2 - 1 + 0.025\, x^\top x ,$$
+# $$x_1^+ = x_1 + x_2 + 0.5\,u + 0.025\, x^\top x \;\ge\; x_1 + x_2 - 1 + 0.025\, x^\top x$$
 #
-# whatever $u \in \mathcal{U}$. Where the right-hand side exceeds 6, no controller keeps the state in $\mathcal{X}$,
-# and likewise where $x_1 + x_2 + 1 + 0.025\,x^\top x < -6$.
+# for every $u \in \mathcal{U}$. Where the right-hand side exceeds 6, no controller keeps the state in $\mathcal{X}$.
+# The same holds where $x_1 + x_2 + 1 + 0.025\,x^\top x < -6$.
 
 
 # %% tags=["nbval-check-output"]
@@ -127,7 +128,7 @@ print(f"                  {lost(data.states).sum()} of the {len(data)} states wi
 print("state D is lost:", bool(lost(np.array(starts["D"]))))
 
 # %% [markdown]
-# Now the picture: $u^\ast$ as colour, a hatch where there is no data.
+# The next figure shows $u^\ast$ as colour. The hatched parts have no data.
 
 
 # %%
@@ -158,20 +159,20 @@ for name, x in starts.items():
 plt.show()
 
 # %% [markdown]
-# **What to see.** Most of the plane is dark (full braking, $u^\ast = -2$) or bright ($u^\ast = 2$); the controller's
-# finesse is in the narrow band between. The hatched corners have no data. Beyond the dashed red lines every input
-# leads out of $\mathcal{X}$ within one step. Between the black and the red line no plan was found either, but no proof
-# by a single step is there: these states get lost later, if at all.
+# **What to see.** Most of the plane is dark (full braking, $u^\ast = -2$) or bright ($u^\ast = 2$). The input varies
+# only in the narrow band between. The hatched corners have no data. Beyond the dashed red lines every input leads out
+# of $\mathcal{X}$ within one step. Between the black and the red line no plan was found either, but one step proves
+# nothing there. If these states leave $\mathcal{X}$ at all, they leave it later.
 #
 # ## 3. Train, live
 #
-# A 5x5 maxout network has $\ell = 5$ hidden layers of $w_i = 5$ neurons with $p_i = 5$ channels each. Training looks
-# for weights $\theta$ that minimise the mean squared error of the *clipped* output over the data,
+# A 5x5 maxout network has $\ell = 5$ hidden layers of $w_i = 5$ neurons with $p_i = 5$ channels each. Training
+# minimises over the weights $\theta$ the mean squared error of the *clipped* output over the data,
 #
-# $$L(\theta) = \frac{1}{639} \sum_i \Big( \min\{\max\{\Phi_\theta(x^{(i)}), -2\}, 2\} - u^\ast(x^{(i)}) \Big)^2 ,$$
+# $$L(\theta) = \frac{1}{639} \sum_i \Big( \min\{\max\{\Phi_\theta(x^{(i)}), -2\}, 2\} - u^\ast(x^{(i)}) \Big)^2 .$$
 #
-# and then appends two maxout layers that do the clipping exactly (`saturate`, notebook 05). We train it twice, from
-# two random beginnings, with half the steps that the shipped network had.
+# It then appends two maxout layers that perform the clipping exactly (`saturate`, notebook 05). We train the network
+# twice, from two random initialisations, with half as many steps as for the shipped network.
 
 # %%
 shape = {"layers": 5, "width": 5, "pool": 5, "lower": -2, "upper": 2, "steps": 3000, "progress": False}
@@ -187,10 +188,10 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** The loss falls to about a ten-thousandth of that of the best constant. Your curves may differ from
-# the stored ones: another processor rounds differently, and training amplifies that.
+# **What to see.** The loss falls to about a ten-thousandth of the loss of the best constant. Your curves may differ
+# from the stored ones: another processor rounds differently, and training amplifies the differences.
 #
-# How large is such a network, for the mixed-integer model of notebook 02?
+# How many binaries does this network need in the mixed-integer model of notebook 02?
 
 # %% tags=["nbval-check-output"]
 trained = sum(layer.weight.size + layer.bias.size for layer in shipped.hidden[:-2]) + 5 + 1
@@ -223,11 +224,11 @@ right.set_ylabel("")
 plt.show()
 
 # %% [markdown]
-# **What to see.** Left: the network continues the pattern of the data into the hatched corners, with something. Right:
-# the errors (dark) sit in and beside the band; where the data say $\pm 2$, saturation makes most of them 0.
+# **What to see.** Left: the network continues the pattern of the data into the hatched corners, without data to support
+# it. Right: the errors (dark) lie in and beside the band. Where the data are $\pm 2$, saturation makes most errors 0.
 #
-# An imitation may be good in every point and still behave differently in the loop. So drive the plant from A once
-# with NMPC at every step, once with the network:
+# An imitation may have a small error at every point and still behave differently in the loop. So we simulate the plant
+# from A, once with NMPC at every step, and once with the network:
 
 # %%
 x, optimal = np.array(starts["A"], float), []
@@ -245,13 +246,13 @@ plt.show()
 print(f"sum of |x(k)|^2 along the path, network / NMPC = {(imitated**2).sum() / (optimal**2).sum():.3f}")
 
 # %% [markdown]
-# **What to see.** Both paths all but coincide. The network's does not end exactly at the origin, for
-# $\Phi(0)$ is not exactly 0. That is why the paper certifies that the state reaches a small *set*, not a point.
+# **What to see.** Both paths nearly coincide. The path of the network does not end exactly at the origin, because
+# $\Phi(0)$ is not exactly 0. For this reason the paper certifies that the state reaches a small *set*, not a point.
 #
 # ## 5. What the network does where it has no data
 #
-# Cut through $\mathcal{X}$ along the diagonal $x_1 = x_2$, from the lower left to the upper right corner. To see what
-# training has left undecided, we look at the network *before* the two saturation layers.
+# We cut through $\mathcal{X}$ along the diagonal $x_1 = x_2$, from the lower left to the upper right corner. We look at
+# the network *before* the two saturation layers, to see what training leaves undetermined.
 
 
 # %%
@@ -282,10 +283,10 @@ plotting.legend_above(ax, 4)
 plt.show()
 
 # %% [markdown]
-# **What to see.** On the data (dots) the networks agree, except beyond $\pm 2$, where the loss hardly cares. In the
-# hatched parts each goes its own way: nothing that training has seen speaks for one of them. Where all lie beyond the
-# thin lines at $\pm 2$, saturation makes them equal again; where one turns back inside, the applied input differs. This
-# is *extrapolation*. How large is it, over the whole plane?
+# **What to see.** On the data (dots) the networks agree, except beyond $\pm 2$, where the loss hardly depends on the
+# output. In the hatched parts they differ, and the training data do not favour any of them. Where all outputs lie
+# beyond the thin lines at $\pm 2$, saturation makes them equal again. Where one output lies inside, the applied inputs
+# differ. This is *extrapolation*. How large is the difference over the whole plane?
 
 # %%
 for a, b in (("net 1", "net 2"), ("net 1", "shipped"), ("net 2", "shipped")):
@@ -294,8 +295,8 @@ for a, b in (("net 1", "net 2"), ("net 1", "shipped"), ("net 2", "shipped")):
     print(f"{a} and {b:7s} differ by up to {known:.2f} on the data, {unknown:.2f} at the states without data")
 
 # %% [markdown]
-# Which of the two numbers is larger is a matter of luck: run the training with other seeds to see both cases. Does it
-# matter? Beyond the red lines of section 2 no input can help:
+# Which of the two numbers is larger depends on the seed. Run the training with other seeds to see both cases. Does it
+# matter? Beyond the red lines of section 2 no input helps:
 
 # %% tags=["nbval-check-output"]
 corner = data.infeasible[lost(data.infeasible)]
@@ -304,8 +305,8 @@ print("states without data that are lost in one step:", len(corner))
 print("of these, kept in X by the shipped network:   ", int(X.contains(after).sum()))
 
 # %% [markdown]
-# So no safe set can contain these states, whatever the controller. And yet the *search* for one will have to deal
-# with them: it begins with all of $\mathcal{X}$. What it finds for the networks that you have just trained:
+# So no safe set can contain these states, for any controller. But the *search* for a safe set must deal with them,
+# because it begins with all of $\mathcal{X}$. The result of the search for the networks that you have just trained:
 
 # %%
 for name, (network, _, _) in names.items():
@@ -316,18 +317,19 @@ for name, (network, _, _) in names.items():
 # ## What you saw
 #
 # - NMPC gives $u^\ast$ only where it finds a plan of 10 steps. In the upper part and in the lower left corner of
-#   $\mathcal{X}$ it finds none, and most of those states are provably lost within one step, for every controller.
-# - A 5x5 maxout network learns the rest to within a few hundredths on average, in seconds. Its 129 binary variables
-#   are what the mixed-integer analysis has to cope with.
-# - Outside the data, training decides nothing: networks that agree on the data may differ there. Only an analysis of
-#   the trained network, not of its training, can say whether that does harm.
+#   $\mathcal{X}$ it finds none, and most of those states provably leave $\mathcal{X}$ within one step, for every
+#   controller.
+# - A 5x5 maxout network learns the rest to within a few hundredths on average, in seconds. It adds 129 binary variables
+#   to the mixed-integer analysis.
+# - Outside the data, training determines nothing: networks that agree on the data may differ there. Only an analysis of
+#   the trained network, not of its training, can show whether this matters.
 #
 # ## On your own
 #
 # - Train with `seed=2` and `seed=3`. Does the cut along the diagonal change? Do the safe sets?
 # - Train with `steps=300`. Is the loop still certified?
-# - Add the lost states with $u = \pm 2$, whichever brakes, to the training data. Does the search for a safe set get
-#   shorter?
+# - Add the states that leave $\mathcal{X}$ to the training data, with $u = 2$ or $u = -2$, whichever brakes. Does the
+#   search for a safe set need fewer iterations?
 #
 # ## Further reading
 #
@@ -338,5 +340,6 @@ for name, (network, _, _) in names.items():
 # - J. A. E. Andersson, J. Gillis, G. Horn, J. B. Rawlings, M. Diehl: *CasADi: a software framework for nonlinear
 #   optimization and optimal control*, Mathematical Programming Computation 11, 2019.
 #
-# **Next:** notebook 09 finds the safe set and the terminal set of this loop, step by step. **Exercise:** set
-# ex08: lost states, the cost by hand, a network of your own, and a controller that the data cannot tell from ours.
+# **Next:** notebook 09 finds the safe set and the terminal set of this loop, step by step. **Exercise:** set ex08:
+# states that no input can save, the cost by hand, a network of your own, and a controller that the data cannot
+# distinguish from ours.

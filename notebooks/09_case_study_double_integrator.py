@@ -11,18 +11,18 @@
 # %% [markdown]
 # # Certify the nonlinear double integrator
 #
-# A nonlinear plant, a 5x5 maxout network in its feedback path, and nine affine maps that stand for the plant, with a
-# disturbance that stands for the error. What the sets of the *piecewise-affine* loop prove is true of the *nonlinear*
-# one. This notebook is the paper's second case study, every set of it drawn.
+# The plant is nonlinear, and a 5x5 maxout network closes the loop. Nine affine maps approximate the plant, and a
+# disturbance represents the approximation error. What the sets prove for the *piecewise-affine* loop also holds for the
+# *nonlinear* one. This notebook is the paper's second case study and draws every set of it.
 #
-# **What you will do.** Iterate the safe set $\mathcal{F}_k$ and the terminal set $\overline{\mathcal{R}}_k$, redraw
-# Figure 3, test Lemma RkNonlinear on the plant, check Theorem 2, and vary the error bound.
+# **What you will do.** Iterate the safe set $\mathcal{F}_k$ and the terminal set $\overline{\mathcal{R}}_k$. Redraw
+# Figure 3. Test Lemma 5, RkNonlinear, on the plant. Check Theorem 2. Vary the error bound.
 #
 # **What you will learn.**
-# - why the safe set takes many iterations here, which facet holds up the stopping rule, and which states are to blame;
-# - what eq. TerminationFmin measures, about the origin and about the equilibrium;
-# - how a proof about a disturbed PWA loop carries over to a plant without any disturbance;
-# - what a smaller, or a flatter, error set is worth.
+# - why the safe set takes many iterations here, which facet delays the stopping rule, and which states cause the delay;
+# - what eq. (25), TerminationFmin, measures, about the origin and about the equilibrium;
+# - how a proof about a disturbed PWA loop applies to a plant without disturbance;
+# - what a smaller or flatter error set gains.
 #
 # **What you need.** Notebooks 06 (the two iterations), 07 (the fit and its proven error) and 08 (the network, and where
 # it had no data). "Run all" takes about 20 seconds.
@@ -48,11 +48,12 @@ print(case)
 # $$x(k+1) = A^{(i)} x(k) + B^{(i)} \Phi(x(k)) + p^{(i)} + d(k) \quad\text{if } x(k) \in \mathcal{P}^{(i)}, \qquad
 #   d(k) \in \mathcal{D} = \{d : \|d\|_\infty \le 0.1186\}$$
 #
-# with nine square regions $\mathcal{P}^{(i)}$. It contains every step of the plant (eq. f) if
+# with nine square regions $\mathcal{P}^{(i)}$. It includes every step of the plant (eq. (28), f) if
 #
-# $$f(x, u) - f_{\text{PWA}}(x, u) \in \mathcal{D} \quad\text{for all } x \in \mathcal{X},\ u \in \mathcal{U},$$
+# $$f(x, u) - f_{\text{PWA}}(x, u) \in \mathcal{D} \quad\text{for all } x \in \mathcal{X},\ u \in \mathcal{U}.$$
 #
-# the assumption of Lemma RkNonlinear and of Theorem 2. Notebook 07 has proven it; here are the numbers again.
+# Lemma 5, RkNonlinear, and Theorem 2 (Theorem 6 in the preprint's numbering, UUB) assume this. Notebook 07 has proven
+# it. The numbers again:
 
 # %% tags=["nbval-check-output"]
 print("largest error at the points of the fit:", round(case.fit.max_error, 4))
@@ -63,7 +64,7 @@ print("regions:", len(case.system.modes), " binaries of the network:", network.b
 # %% [markdown]
 # ## 2. The safe set, step by step
 #
-# Eq. Fk and Proposition Fmax, as in notebook 06, now with eight directions:
+# Eq. (21), Fk, and Prop. 3, Fmax, as in notebook 06, now with eight directions:
 #
 # $$\mathcal{F}_0 = \mathcal{X}, \qquad
 #   \mathcal{F}_{k+1} = \overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}_k) \cap \mathcal{X},
@@ -72,7 +73,7 @@ print("regions:", len(case.system.modes), " binaries of the network:", network.b
 # %%
 history = [X]
 while not (image := mr.outer_step(loop, history[-1], C)).is_subset(X) and len(history) < 200:
-    history.append(image & X)  # eq. Fk
+    history.append(image & X)  # eq. (21), Fk
 print("by hand: F_max = F_k with k =", len(history) - 1)
 
 # %% tags=["nbval-check-output"]
@@ -89,17 +90,17 @@ for ax in axes.flat:
 plt.show()
 
 # %% [markdown]
-# **What to see.** The first steps cut off the corners quickly. Then the set shrinks by thin layers, from above and from
-# the left, while its right-hand side does not move at all. All steps, with the slider (it needs a running kernel):
+# **What to see.** The first steps quickly cut off the corners. Then the set shrinks by thin layers, from above and from
+# the left, while its right-hand side does not move at all. The slider shows all steps (it needs a running kernel):
 
 # %%
 step_viewer(lambda ax, k: plotting.plot_step(ax, safe.history, k), len(safe.history))
 
 # %% [markdown]
-# ### Which facet holds up the end, and why?
+# ### Which facet delays the end, and why?
 #
-# The iteration ends when the image of $\mathcal{F}_k$ returns into $\mathcal{X}$. So follow, for each $k$, the offsets
-# $h_{\mathcal{F}_k}(C_i)$ of the eight facets, and by how much the image leaves $\mathcal{X}$ on each side.
+# The iteration ends when the image of $\mathcal{F}_k$ lies in $\mathcal{X}$. The next figure shows, for each $k$, the
+# offsets $h_{\mathcal{F}_k}(C_i)$ of the eight facets, and by how much the image exceeds $\mathcal{X}$ on each side.
 
 # %%
 facets = np.array([F.support(C) for F in safe.history])  # (k, 8)
@@ -120,12 +121,12 @@ right.legend(fontsize="small")
 plt.show()
 
 # %% [markdown]
-# **What to see.** Right: after the first few steps, and to the very end, one side is the culprit, $x_1 = 6$; the others
-# have long been inside (below the grey line). Left: the facet $C_1$ (→) stays at 6, because the image is cut there
-# again and again. The facets that keep shrinking are those above and to the left.
+# **What to see.** Right: after the first few steps, and until the end, only the side $x_1 = 6$ is violated. The others
+# hold early on (below the grey line). Left: the facet $C_1$ (→) stays at 6, because the intersection cuts the image
+# there in every step. The facets above and to the left keep shrinking.
 #
-# Who is thrown out at $x_1 = 6$? The witnesses tell: for each $k$ the state of $\mathcal{F}_k$ whose image gets
-# furthest to the right.
+# Which states leave $\mathcal{X}$ at $x_1 = 6$? The witnesses answer this. For each $k$ they give the state of
+# $\mathcal{F}_k$ whose image has the largest $x_1$.
 
 # %% tags=["nbval-check-output"]
 shown = [0, len(safe.history) // 3, 2 * len(safe.history) // 3, safe.iterations - 1, safe.iterations]
@@ -136,9 +137,9 @@ for k in shown:
     print(f"k = {k:2d}: {x} with u = {u:.1f} -> {after}  {'no data there' if no_data else 'data nearby'}")
 
 # %% [markdown]
-# The culprit is always the upper right corner of $\mathcal{F}_k$, on $x_1 = 6$, and as long as the image leaves
-# $\mathcal{X}$ the network had no data there. It is *not* a mistake of the network: it brakes with all it has, and
-# notebook 08 has shown that no input can keep such states in $\mathcal{X}$. For the plant at $x_1 = 6$,
+# It is always the upper right corner of $\mathcal{F}_k$, on $x_1 = 6$. As long as the image exceeds $\mathcal{X}$, this
+# corner lies where the data set has no data. This is *not* a mistake of the network. It brakes fully, and notebook 08
+# has shown that no input can keep such states in $\mathcal{X}$. For the plant at $x_1 = 6$,
 #
 # $$x_1^+ = 6 + x_2 + 0.5\,u + 0.025\,(36 + x_2^2) \le 6 \quad\text{with } u = -2
 #   \quad\Longleftrightarrow\quad x_2 + 0.025\, x_2^2 \le 0.1 .$$
@@ -148,14 +149,15 @@ highest = np.roots([0.025, 1, -0.1]).max()
 print(f"at x1 = 6 the plant can be kept in X only where x2 <= {highest:.3f}, whatever the controller")
 
 # %% [markdown]
-# So $\mathcal{F}_k$ cannot be RPI before its upper right corner is gone. No braking in that corner can remove it:
-# $\mathcal{F}_{k+1}$ holds what is *reached*, so the corner goes only when no state is sent there, nor close enough for
-# eight facets to include it. Who sends states up? Draw for each facet the step that attains it.
+# So $\mathcal{F}_k$ cannot be RPI while it contains its upper right corner. Braking in that corner cannot remove it,
+# because $\mathcal{F}_{k+1}$ contains the states that are *reached*. The corner disappears only when no state leads
+# there, and none leads so close that the eight facets include the corner. Which states lead upwards? For each facet we
+# draw the step that attains it.
 
 
 # %%
 def draw_attaining(ax, k):
-    """F_k, its image, and for each direction C_i the step x -> x+ that gets furthest."""
+    """F_k, its image, and for each direction C_i the step x -> x+ that attains the support."""
     F = safe.history[k]
     plotting.draw_set(ax, X, facecolor="none", edgecolor=plotting.GREY, linewidth=2.2)
     plotting.draw_set(ax, F, **plotting.SAFE)
@@ -176,12 +178,13 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** Green: $\mathcal{F}_k$. Dashed black: its image $\overline{\mathcal{R}}_1(\mathcal{F}_k)$. Dashed red
-# arrows leave $\mathcal{X}$. In the lower left panel the facets ↑, ↖ and ← are attained by arrows from the *left*, from
-# states with $x_1 < 0$ that the network accelerates hard, with almost $u = 2$. They overshoot to $x_2 > 0$. The
-# template has only eight directions, so the facet ↑ that has to contain them, far on the left, also contains the corner
-# at $x_1 = 6$, whether or not any state arrives there. Layer by layer the left side gives way, and the corner with it.
+# arrows leave $\mathcal{X}$. In the lower left panel the facets ↑, ↖ and ← are attained by arrows from the *left*. They
+# start in states with $x_1 < 0$, where the network accelerates strongly, with almost $u = 2$, and they overshoot to
+# $x_2 > 0$. The template has only eight directions. The facet ↑ must contain these states far on the left. It therefore
+# also contains the corner at $x_1 = 6$, whether or not any state leads there. The left side shrinks layer by layer, and
+# with it the corner.
 #
-# That the template is to blame can be tested. More directions cut the corner off sooner:
+# We can test whether the template causes the delay. More directions remove the corner earlier:
 
 # %% tags=["nbval-check-output"]
 for count in (4, 8, 12, 16):
@@ -195,14 +198,14 @@ step_viewer(draw_attaining, len(safe.history), size=(6.5, 4.0))
 # ## 3. The terminal set
 #
 # From $\mathcal{F}_{\max}$ on, $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_{k-1})$
-# shrinks around where the trajectories end (eq. RminOver). Every $\overline{\mathcal{R}}_k$ is RPI. Eq. TerminationFmin
-# only says when to stop: for $\overline\epsilon = 10^{-3}$, at the first $k$ with
+# shrinks to the set where the trajectories end (eq. (24), RminOver). Every $\overline{\mathcal{R}}_k$ is RPI. Eq. (25),
+# TerminationFmin, only determines when to stop: for $\overline\epsilon = 10^{-3}$, at the first $k$ with
 #
 # $$\mathcal{S} \subseteq \overline{\mathcal{R}}_1(\mathcal{S}), \qquad
 #   \mathcal{S} = c + \tfrac{1}{1 + \overline\epsilon}\, \big(\overline{\mathcal{R}}_k(\mathcal{F}_{\max}) - c\big).$$
 #
-# The paper scales about the origin, $c = 0$. The loop's own equilibrium is another point, and the sets gather about
-# that one:
+# The paper scales about the origin, $c = 0$. The equilibrium of the loop is another point, and the sets converge around
+# the equilibrium:
 
 # %% tags=["nbval-check-output"]
 print("equilibrium of the nominal loop:", loop.equilibrium().round(2))
@@ -220,8 +223,8 @@ for ax in axes.flat:
 plt.show()
 
 # %% [markdown]
-# **What to see.** About seven steps bring everything into a small neighbourhood of the origin; the rest is a slow
-# approach to the limit. With the slider, or in numbers:
+# **What to see.** After about seven steps all states are in a small neighbourhood of the origin. The rest is a slow
+# convergence to the limit. The slider and the next cell show it in detail:
 
 # %%
 step_viewer(lambda ax, k: plotting.plot_step(ax, terminal.history, k, r"\overline{\mathcal{R}}"), len(terminal.history))
@@ -229,7 +232,7 @@ step_viewer(lambda ax, k: plotting.plot_step(ax, terminal.history, k, r"\overlin
 
 # %%
 def excess(R, c, epsilon=1e-3):
-    """How far S sticks out of R1-bar(S); eq. TerminationFmin holds where this is at most 0."""
+    """By how much S exceeds R1-bar(S); eq. (25), TerminationFmin, holds where this is at most 0."""
     S = R.scale(1 / (1 + epsilon), c)
     return (S.support(C) - mr.support(loop, S, C).value).max()
 
@@ -246,16 +249,17 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** Once the trajectories have arrived, the excess falls by a constant factor a step: the contraction of
-# the loop. It becomes negative, which a logarithmic axis cannot show, at the dotted lines. About the equilibrium that
-# happens a little earlier here, and for a good reason: with $c$ where the sets gather, shrinking
-# $\overline{\mathcal{R}}_k$ towards $c$ shrinks it evenly. About another point, above all one near the boundary of
-# the sets, the test can fail forever; section 6 has examples.
+# **What to see.** Once the trajectories have arrived, the excess falls by a constant factor per step: the contraction
+# of the loop. At the dotted lines it becomes negative, which a logarithmic axis cannot show. About the equilibrium this
+# happens a little earlier here, for a good reason. The sets converge around the equilibrium, so scaling
+# $\overline{\mathcal{R}}_k$ towards it shrinks the set evenly. About another point, above all one near the boundary of
+# the sets, the test may fail for every $k$. Section 6 has examples.
 #
 # ## 4. Figure 3
 #
-# One trajectory of the *plant* from $x(0) = (5.5, -1.5)$, and the sets $\overline{\mathcal{R}}_i(\{x(0)\})$ in which
-# the PWA loop with its disturbance can be after $i$ steps (eq. ROverOver). They start from a single point.
+# The figure shows one trajectory of the *plant* from $x(0) = (5.5, -1.5)$, and the sets
+# $\overline{\mathcal{R}}_i(\{x(0)\})$, which contain the state of the disturbed PWA loop after $i$ steps (eq. (19),
+# ROverOver). They start from a single point.
 
 # %%
 start = case.starts[0]
@@ -279,14 +283,14 @@ print("it is there from step", int(np.argmax(terminal.set.contains(path))))
 
 # %% [markdown]
 # **What to see.** The red path of the plant stays within the small black sets around its states, and both end in the
-# hatched terminal set. Grey arrows: one step of the plant from many states (a quarter of its length). On the right
-# they point down and left: braking.
+# hatched terminal set. Grey arrows: one step of the plant from many states (a quarter of its length). On the right they
+# point down and left, because the plant brakes.
 #
-# ## 5. What is true of the plant
+# ## 5. What holds for the plant
 #
-# **Lemma RkNonlinear.** If $\mathcal{F}$ is RPI, lies in $\mathcal{X}$, and $f - f_{\text{PWA}} \in \mathcal{D}$, then
-# $\mathcal{R}_k(\mathcal{F}) \subseteq \mathcal{R}^{\mathcal{D}}_k(\mathcal{F})$ for all $k$: the plant's reachable
-# sets lie in those of the disturbed PWA loop. A simulation cannot prove that, but it could refute it.
+# **Lemma 5, RkNonlinear.** If $\mathcal{F}$ is RPI, lies in $\mathcal{X}$, and $f - f_{\text{PWA}} \in \mathcal{D}$,
+# then $\mathcal{R}_k(\mathcal{F}) \subseteq \mathcal{R}^{\mathcal{D}}_k(\mathcal{F})$ for all $k$: the reachable sets
+# of the plant lie in those of the disturbed PWA loop. A simulation cannot prove this, but it could refute it.
 
 # %% tags=["nbval-check-output"]
 begin = np.vstack([safe.set.sample(np.random.default_rng(0), 3000), safe.set.vertices()])
@@ -311,12 +315,14 @@ for j, ax in enumerate(axes):
 plt.show()
 
 # %% [markdown]
-# **What to see.** The plant (red) stays within the guaranteed band (hatched), and uses little of it in the end: it
-# settles at a point, while the bound has to allow for a disturbance that may push in any direction at every step.
+# **What to see.** The plant (red) stays within the guaranteed band (hatched), and in the end it uses only a small part
+# of the band. The plant converges to a point, while the bound must allow for a disturbance that may act in any
+# direction at every step.
 #
 # **Theorem 2.** Under the same assumption the plant with $u(k) = \Phi(x(k))$ is ultimately bounded in
 # $\overline{\mathcal{R}}_{\min}$, uniformly in $\mathcal{F}_{\max}$, and never violates the constraints on $x$ and $u$.
-# Its conditions, each checked; the first one by ball arithmetic, over all of $\mathcal{X} \times \mathcal{U}$:
+# The next cell checks each condition. It checks the first one by ball arithmetic, over all of
+# $\mathcal{X} \times \mathcal{U}$:
 
 # %% tags=["nbval-check-output"]
 theorem = mr.ultimately_bounded(plant, loop, safe, terminal)
@@ -325,11 +331,13 @@ for condition, holds in theorem.conditions.items():
 print("Theorem 2:", theorem.verdict)
 
 # %% [markdown]
-# The last condition is there because ultimate boundedness is defined for C-sets, which have the origin inside.
+# The last condition is needed because ultimate boundedness is defined for C-sets, which contain the origin in their
+# interior.
 #
-# ## 6. What a better error set is worth
+# ## 6. What a better error set gains
 #
-# The error bound is a choice. Four disturbance sets for the same plant and network, all proven (notebook 07):
+# The error bound is a choice. We compare four disturbance sets for the same plant and network, all proven (notebook
+# 07):
 #
 # - **paper**: least squares, $\|d\|_\infty \le 0.1186$;
 # - **tight box**: the same fit, but the error is not symmetric: it lies in $[-0.0815, 0.1185]$ in each component;
@@ -359,10 +367,10 @@ for name, system in systems.items():
     print(f"{name:9s} k = {F.iterations}, {areas}, Theorem 2 {bounded}, rule about the origin met: {met}")
 
 # %% [markdown]
-# Each line: $k$ of $\mathcal{F}_{\max} = \mathcal{F}_k$, the areas of $\mathcal{F}_{\max}$ and of
-# $\overline{\mathcal{R}}_{\min}$ (found with the equilibrium as centre), Theorem 2's verdict, and whether
-# eq. TerminationFmin was ever met about the origin. Where it was not, the sequence came to rest without it. Its last
-# set is RPI all the same, only the rule has nothing to say.
+# Each line gives the $k$ with $\mathcal{F}_{\max} = \mathcal{F}_k$, the areas of $\mathcal{F}_{\max}$ and of
+# $\overline{\mathcal{R}}_{\min}$ (with the equilibrium as centre), the verdict of Theorem 2, and whether eq. (25),
+# TerminationFmin, ever held about the origin. Where it did not, the sequence converged without it. Its last set is RPI
+# nevertheless; only the stopping rule does not apply.
 
 # %%
 fig, (left, middle, right) = plt.subplots(1, 3, figsize=(8.6, 3.6), layout="constrained")
@@ -380,12 +388,13 @@ fig.legend(*middle.get_legend_handles_labels(), loc="outside lower center", ncol
 plt.show()
 
 # %% [markdown]
-# **What to see.** Left: the four sets $\mathcal{D}$. Middle: $\mathcal{F}_{\max}$ changes little, and a smaller
-# $\mathcal{D}$ makes it *smaller* here, for it is made of forward images: $\mathcal{F}_{\max}$ is a safe set, not the
-# largest one. Right: the terminal set, which says where the plant ends up, gains most. (It also moves away from the
-# origin, which then lies close to its boundary: no good centre for eq. TerminationFmin.)
+# **What to see.** Left: the four sets $\mathcal{D}$. Middle: $\mathcal{F}_{\max}$ changes little. A smaller
+# $\mathcal{D}$ makes it *smaller* here, because it consists of forward images: $\mathcal{F}_{\max}$ is a safe set, not
+# the largest one. Right: the terminal set, which contains the plant's state in the end, improves most. (It also moves
+# away from the origin, which then lies close to its boundary. The origin is then not a good centre for eq. (25),
+# TerminationFmin.)
 #
-# **A surprise.** The tight box and the minimax fit give the same sets. Look at the two fits:
+# The tight box and the minimax fit give the same sets. To see why, compare the two fits:
 
 # %% tags=["nbval-check-output"]
 shifts = np.array([a.p - b.p for a, b in zip(minimax.modes, case.fit.modes)])
@@ -394,26 +403,27 @@ print("same A in all regions:", same)
 print("p differs by", np.unique(shifts.round(4)), "in every region and component")
 
 # %% [markdown]
-# They differ by a constant in $p$, and by that constant the tight box is off centre: $p^{(i)} + \mathcal{D}$ is the
-# same set. So the smaller number 0.1 needs no better fit; it is enough to look at the error from both sides.
+# They differ by a constant in $p$, and the centre of the tight box differs from 0 by the same constant. So
+# $p^{(i)} + \mathcal{D}$ is the same set. The smaller number 0.1 needs no better fit; it suffices to bound the error
+# from both sides.
 #
-# The segment has no area at all, and still $\overline{\mathcal{R}}_{\min}$ has: the loop turns the segments of earlier
-# steps into other directions before it adds the next one.
+# The segment has no area, but $\overline{\mathcal{R}}_{\min}$ has, because the loop rotates the segments of earlier
+# steps before it adds the next one.
 #
 # ## What you saw
 #
-# - The iteration could not end before the upper right corner of $\mathcal{F}_k$ was gone, where no controller can help.
-#   The corner stayed that long because of eight directions, not because of the network's extrapolation.
-# - Eq. TerminationFmin is a statement about a centre; the equilibrium is the natural one.
-# - Lemma RkNonlinear and Theorem 2 turn sets of a disturbed PWA loop into guarantees for the undisturbed plant. The
-#   price of the detour is the size of the terminal set, and a better error set lowers it.
+# - The iteration could not end before the upper right corner of $\mathcal{F}_k$ was removed, where no controller can
+#   help. The corner remained that long because of the eight directions, not because of the network's extrapolation.
+# - Eq. (25), TerminationFmin, depends on a centre. The equilibrium is the natural one.
+# - Lemma 5, RkNonlinear, and Theorem 2 turn sets of a disturbed PWA loop into guarantees for the undisturbed plant. The
+#   approximation enlarges the terminal set, and a better error set reduces this effect.
 #
 # ## On your own
 #
 # - Take a fit on 5 x 5 regions (`double_integrator_fit(5)`). What happens to the error, and to both sets?
-# - Use 16 directions for everything. Compare the terminal set's area with what the error sets gained.
+# - Use 16 directions for everything. Compare the area of the terminal set with what the error sets gained.
 # - Train a network of your own in notebook 08 and analyse it: `mr.case_study("double_integrator", network)`.
-# - Ask the MILP: `mr.safe_set(loop, C, engine="milp")`. The same numbers, and what happens to the time?
+# - Use the MILP: `mr.safe_set(loop, C, engine="milp")`. Are the numbers the same, and how long does it take?
 #
 # ## Further reading
 #
@@ -424,5 +434,6 @@ print("p differs by", np.unique(shifts.round(4)), "in every region and component
 # - M. Lazar, W. P. M. H. Heemels: *Optimized input-to-state stabilization of discrete-time nonlinear systems with
 #   bounded inputs*, ACC 2008: the plant.
 #
-# **Next:** notebook 10 leaves the paper: exact sets instead of templates. **Exercise:** set ex09: the iteration by
-# hand, the largest disturbance bound, plant trajectories as counterexamples, eq. TerminationFmin, a bound too small.
+# **Next:** notebook 10 goes beyond the paper: exact sets instead of templates. **Exercise:** set ex09: the iteration by
+# hand, the largest disturbance bound, plant trajectories as counterexamples, eq. (25), TerminationFmin, a bound that is
+# too small.

@@ -11,15 +11,15 @@
 # %% [markdown]
 # # Go beyond the paper: exact cells, better centres, tighter errors, many seeds, certificates
 #
-# **What you will do.** Draw the closed loops of both case studies as what they are, hundreds of affine pieces,
-# and compute $h_{\mathcal{R}_1}$ without any MILP. Find a network for which the paper's stopping rule never holds,
-# see why, and repair it. Shrink the error set of the double integrator from a square to a segment. Ask a study of
-# many trained networks how typical the paper's numbers are, and what decides them. Write a certificate, have it
-# checked in exact arithmetic, and forge one.
+# **What you will do.** Draw the closed loops of both case studies as hundreds of affine pieces, and compute
+# $h_{\mathcal{R}_1}$ without a MILP. Find a network for which the paper's stopping rule never holds, find the reason,
+# and correct the rule. Shrink the error set of the double integrator from a square to a segment. Use a study of many
+# trained networks to see how typical the paper's numbers are, and what determines them. Write a certificate, check it
+# in exact arithmetic, and forge one.
 #
-# **What you will learn.** Why a maximum over vertices replaces the MILP in the plane; that *converged* and *the
-# stopping rule holds* are two different things; what $\alpha = 1$ means; how much a certificate owes to the
-# template, to the error set and to the luck of the training.
+# **What you will learn.** Why a maximum over vertices replaces the MILP for two states. Why *the sequence has
+# converged* and *the stopping rule holds* are two different statements. What $\alpha = 1$ means. How much a certificate
+# depends on the template, on the error set, and on the seed of the training.
 #
 # **What you need.** Notebooks 04, 06, 07 and 09. "Run all" takes about a minute.
 
@@ -49,24 +49,24 @@ for name in cases:
 # %% [markdown]
 # ## 1 The closed loop is piecewise affine: draw the pieces
 #
-# A maxout network is piecewise affine, the plant is piecewise affine, and so is the loop of the two. There are
-# convex polygons $\mathcal{C}_1, \mathcal{C}_2, \dots$ that cover $\mathcal{X}$, the *cells*, on each of which one
-# mode $i$ acts and $\Phi(x) = K x + g$ with one $K$ and one $g$. So
+# A maxout network is piecewise affine, the plant is piecewise affine, and so is their loop. There are convex polygons
+# $\mathcal{C}_1, \mathcal{C}_2, \dots$ that cover $\mathcal{X}$, the *cells*. On each of them one mode $i$ is active
+# and $\Phi(x) = K x + g$ with one $K$ and one $g$. So
 #
 # $$ x^+ = \underbrace{(A^{(i)} + B^{(i)} K)}_{M}\, x + \underbrace{B^{(i)} g + p^{(i)}}_{c} + d,
 #    \qquad d \in \mathcal{D}^{(i)}, \qquad x \in \mathcal{C}_j . $$
 #
-# In the plane the cells are quickly found: begin with the regions $\mathcal{P}^{(i)}$ cut by $\mathcal{X}$, take
-# them through the network neuron by neuron, and split a polygon wherever the winning channel of
-# eq. maxout changes. `mireach.engines.cells.cells` does that.
+# For two states the cells are easy to compute. Begin with the regions $\mathcal{P}^{(i)}$, intersected with
+# $\mathcal{X}$. Pass them through the network neuron by neuron, and split a polygon wherever the largest channel in
+# eq. (8), maxout, changes. `mireach.engines.cells.cells` does this.
 
 
 # %%
 def draw_cells(ax, found, colour, hatched):
-    """All cells as polygons; `colour` (N, 4) is their face colour, `hatched` (N,) says which get a hatch."""
+    """All cells as polygons; `colour` (N, 4) is their face colour, `hatched` (N,) selects those with a hatch."""
     faces = [found.polygons[i] for i in range(len(found))]
     ax.add_collection(PolyCollection(faces, facecolors=colour, edgecolors="black", linewidths=0.3))
-    faces = [face for face, dots in zip(faces, hatched) if dots]  # grey dots: seen on dark and on bright cells
+    faces = [face for face, dots in zip(faces, hatched) if dots]  # grey dots are visible on dark and on bright cells
     ax.add_collection(PolyCollection(faces, facecolors="none", edgecolors=plotting.GREY, linewidths=0, hatch="...."))
 
 
@@ -86,14 +86,15 @@ for (name, case), (top, bottom) in zip(cases.items(), axes.T):
 plt.show()
 
 # %% [markdown]
-# Every polygon is one affine map. Above, the colour is the mode: the four quadrants of case 1, the chessboard of
-# case 2. Below, the colour is the input in the middle of the cell, and dots mark cells on which the network is
-# saturated ($K = 0$, $u$ at a limit): they fill most of $\mathcal{X}$. Small cells crowd where the control law bends.
+# Every polygon is one affine map. Top: the colour shows the mode, i.e. the four quadrants of case 1 and the chessboard
+# of case 2. Bottom: the colour shows the input in the middle of the cell. Dots mark cells on which the network is
+# saturated ($K = 0$, $u$ at a limit); they fill most of $\mathcal{X}$. Small cells accumulate where the slope of the
+# control law changes quickly.
 #
-# ### h of R1 is a maximum over vertices
+# ### The support function of R1 is a maximum over vertices
 #
-# On a cell, $v x^+ = v (M x + c) + v d$ is linear in $x$ and in $d$, and a linear function takes its maximum over
-# a polygon at a vertex. So Lemma 2 needs no integer variable here:
+# On a cell, $v x^+ = v (M x + c) + v d$ is linear in $x$ and in $d$, and a linear function attains its maximum over a
+# polygon at a vertex. So Lemma 2 needs no integer variable here:
 #
 # $$ h_{\mathcal{R}_1(\mathcal{F})}(v) = \max_j \; \max_{x \in \operatorname{vert}(\mathcal{C}_j \cap \mathcal{F})}
 #    v (M_j x + c_j) + h_{\mathcal{D}^{(i_j)}}(v) . $$
@@ -116,7 +117,7 @@ def h_by_vertices(loop, F, V):
 
 
 # %% [markdown]
-# Against the MILP of Lemma 2, which knows nothing of cells, over $\mathcal{F}_{\max}$ in eight directions:
+# We compare with the MILP of Lemma 2, which does not use cells, over $\mathcal{F}_{\max}$ in eight directions:
 
 # %% tags=["nbval-check-output"]
 C = mr.directions(8)
@@ -129,7 +130,7 @@ for name, case in cases.items():
     print(f"against the cell engine {np.abs(here - engine.value).max():.5f}")
 
 # %% [markdown]
-# Two methods that share only the network's weights agree. They do not cost the same:
+# Two methods that share only the network's weights agree. Their times differ:
 
 # %%
 for name in cases:
@@ -139,18 +140,19 @@ for name in cases:
     print(f"{name}: cells {1000 * by_cells:.1f} ms, MILP {1000 * by_milp:.0f} ms for 8 directions")
 
 # %% [markdown]
-# The gap is the reason why the notebooks before this one could iterate sets while you watched. The price: cells
-# exist in the plane only, and their number grows quickly with the network. The MILP goes on for $n > 2$.
+# Because of this speed, the earlier notebooks could iterate sets interactively. The drawback: these cells exist only
+# for two states, and their number grows quickly with the network. The MILP also works for $n > 2$.
 #
 # ### What the template adds
 #
-# The images of the cells, widened by $\mathcal{D}$, *are* $\mathcal{R}_1(\mathcal{F}_{\max})$. So we can draw what the
-# outer set $\overline{\mathcal{R}}_1 = \{x : C x \le h_{\mathcal{R}_1}(C)\}$ (eq. Rover1) adds to it.
+# The union of the images of the cells, each enlarged by $\mathcal{D}$, *is* $\mathcal{R}_1(\mathcal{F}_{\max})$. So we
+# can draw what the outer set $\overline{\mathcal{R}}_1 = \{x : C x \le h_{\mathcal{R}_1}(C)\}$ (eq. (18), Rover1) adds
+# to it.
 
 
 # %%
 def draw_image(ax, loop, F, **style):
-    """R_1(F) without any template: the image of every cell within F, widened by D."""
+    """R_1(F) without a template: the image of every cell within F, enlarged by D (Minkowski sum)."""
     found = cells(loop)
     parts, index = found.restrict(F)
     for i, j in enumerate(index):
@@ -175,22 +177,22 @@ for ax, (name, case) in zip(axes, cases.items()):
 plt.show()
 
 # %% [markdown]
-# Grey is the exact reachable set. It is not convex; in case 1 it has arms, for the dynamics jump between modes. The
-# dashed polygon touches it in eight directions and fills the rest. What the paper's sequences lose, they lose here,
-# at every step anew. Section 4 shows how much that can matter.
+# Grey is the exact reachable set. It is not convex. In case 1 it has several arms, because the dynamics jump between
+# modes. The dashed polygon touches it in eight directions and fills the rest. This over-approximation is added in every
+# step of the paper's sequences. Section 4 shows how much it can matter.
 
 # %% [markdown]
 # ## 2 Why the stopping rule can fail
 #
 # The terminal set is $\overline{\mathcal{R}}_{\min} = \overline{\mathcal{R}}_{\bar k}(\mathcal{F}_{\max})$ with the
-# first $\bar k$ at which (eq. TerminationFmin)
+# first $\bar k$ at which (eq. (25), TerminationFmin)
 #
 # $$ S := \tfrac{1}{1+\bar\epsilon} \overline{\mathcal{R}}_{\bar k}(\mathcal{F}_{\max})
 #    \subseteq \overline{\mathcal{R}}_1(S) . $$
 #
-# It bounds how far the set is from the limit $\overline{\mathcal{R}}_\infty$. But nothing says that it ever holds.
-# We look for a network in the seed study (100 networks for the double integrator that differ in the seed of their
-# initial weights only) for which it does not.
+# This bounds the distance of the set from the limit $\overline{\mathcal{R}}_\infty$. But there is no guarantee that it
+# ever holds. The seed study has 100 networks for the double integrator that differ only in the seed of their initial
+# weights. We select one for which it does not hold.
 
 # %% tags=["nbval-check-output"]
 rows = {name: load_rows(data_file(name, "seeds.csv")) for name in cases}
@@ -212,15 +214,15 @@ for z, found in about.items():
     print(f"  about the {z} {np.round(found.centre, 3) + 0.0}: {words}")
 
 # %% [markdown]
-# `terminal_set` noticed that two consecutive sets are equal, to the last digit of every offset: the sequence *has*
-# converged. The set is RPI and reached from all of $\mathcal{F}_{\max}$, whatever the rule says. Only the rule fails,
-# and it will fail at every later $k$. Draw the distance to the limit, and $S$ with an $\bar\epsilon$ large enough to
-# be seen:
+# `terminal_set` detected that two consecutive sets are equal, to the last digit of every offset: the sequence *has*
+# converged. The set is RPI and is reached from all of $\mathcal{F}_{\max}$, regardless of the rule. Only the rule
+# fails, and it fails at every later $k$, too. The next figure shows the distance to the limit, and $S$ with an
+# $\bar\epsilon$ that is large enough to be visible:
 
 
 # %%
 def draw_shrunk(ax, z, epsilon=0.4):
-    """The limit R, S = z + (R - z) / (1 + epsilon), and the image of S; in red the edges of S outside of it."""
+    """The limit R, S = z + (R - z) / (1 + epsilon), and the image of S; in red the edges of S outside this image."""
     S = limit.scale(1 / (1 + epsilon), z)
     after = mr.outer_step(loop, S, C)
     plotting.draw_set(ax, limit, facecolor="none", edgecolor=plotting.GREY, label=r"$\overline{\mathcal{R}}_\infty$")
@@ -248,24 +250,24 @@ for ax, (name, found) in zip(axes[1:], about.items()):
 plt.show()
 
 # %% [markdown]
-# Left: the distance to the limit falls until it is exactly 0; about the equilibrium the rule holds at the dashed line.
-# Middle: shrunk about the origin (+), $S$ (orange) sticks out of its own image (dashed) at the thick red edges. Right:
-# shrunk by the same factor about the equilibrium, it lies inside.
+# Left: the distance to the limit falls until it is exactly 0. About the equilibrium the rule holds at the dashed line.
+# Middle: scaled about the origin (+), $S$ (orange) exceeds its own image (dashed) at the thick red edges. Right: scaled
+# by the same factor about the equilibrium, it lies inside.
 #
 # ### The reason, in one formula
 #
-# Let $R = \overline{\mathcal{R}}_1(R)$ be the limit, $z$ the centre, and let the facet $v$ of $R$ come from a vertex
-# $x^*$ in a cell with $x^+ = M x + c + d$. Shrink: $S = z + (R - z)/(1+\epsilon)$ with a small $\epsilon$. If the same
-# cell holds the shrunk vertex, its image gives
+# Let $R = \overline{\mathcal{R}}_1(R)$ be the limit and $z$ the centre. Let the facet $v$ of $R$ be attained at a
+# vertex $x^*$ in a cell with $x^+ = M x + c + d$. Scale the set: $S = z + (R - z)/(1+\epsilon)$ with a small
+# $\epsilon$. If the scaled vertex lies in the same cell, its image gives
 #
 # $$ h_{\mathcal{R}_1(S)}(v) - h_S(v) \;\ge\; \tfrac{\epsilon}{1+\epsilon}
 #    \Big[\, v\,(M z + c - z) + h_{\mathcal{D}}(v) \Big] , $$
 #
-# with equality if no other vertex overtakes it. The rule needs every bracket to be non-negative: **the affine pieces
-# that make the facets, continued to the centre $z$, must not carry $z$ inwards by more than the disturbance gives
-# back.** At the fixed point of a piece $M z + c = z$, and of its bracket $h_{\mathcal{D}}(v) > 0$ remains. The origin
-# is no fixed point here: least squares leaves $f_{\text{PWA}}(0, 0) = p \ne 0$ in the middle region. Measure the
-# bracket:
+# with equality if no other vertex attains a larger value. The rule needs every bracket to be non-negative. In words:
+# **take the affine piece that attains a facet and evaluate it at the centre $z$. It must not move $z$ inwards by more
+# than the disturbance moves it outwards.** If $z$ is the fixed point of the piece, $M z + c = z$, only
+# $h_{\mathcal{D}}(v) > 0$ remains of the bracket. The origin is not a fixed point here: the least-squares fit has
+# $f_{\text{PWA}}(0, 0) = p \ne 0$ in the middle region. We compute the bracket:
 
 
 # %%
@@ -290,10 +292,11 @@ for z, found in about.items():
     print(f"about the {z}: smallest slack {slack(limit, found.centre).min():.3f}")
 
 # %% [markdown]
-# One negative bar suffices for the rule to fail, for every small $\bar\epsilon$: it is no matter of patience.
-# With $z$ as centre the meaning changes only a little: $\overline{\mathcal{R}}_\infty \subseteq
-# \overline{\mathcal{R}}_{\bar k} \subseteq z + (1+\bar\epsilon)(\overline{\mathcal{R}}_\infty - z)$.
-# The equilibrium is no cure for all: a loop that jumps may have none, and then `centre="equilibrium"` says so.
+# One negative bar suffices: the rule then fails for every small $\bar\epsilon$, and more iterations do not help. With
+# $z$ as centre the statement changes only a little:
+# $\overline{\mathcal{R}}_\infty \subseteq \overline{\mathcal{R}}_{\bar k}$ and
+# $\overline{\mathcal{R}}_{\bar k} \subseteq z + (1+\bar\epsilon)(\overline{\mathcal{R}}_\infty - z)$.
+# The equilibrium does not always help. A loop that jumps may have none, and then `centre="equilibrium"` reports this.
 
 # %% tags=["nbval-check-output"]
 for name in cases:
@@ -306,18 +309,19 @@ for name in cases:
 # %% [markdown]
 # ### Alpha is exactly 1 at a fixed point
 #
-# Theorem 1 asks for $\alpha > 1$ with $\alpha\, \overline{\mathcal{R}}_{k} \subseteq \overline{\mathcal{R}}_{k-1}$
-# (eq. StabCondFmin). Where the sequence has come to rest, $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_{k-1}$
-# and $\alpha = 1$: the theorem says nothing there. It is enough that *one facet* rests. So $\alpha$ must be taken at
-# a $k$ at which the sequence still shrinks in every direction; any such $\overline{\mathcal{R}}_k$ is a stable set.
+# Theorem 1 requires $\alpha > 1$ with $\alpha\, \overline{\mathcal{R}}_{k} \subseteq \overline{\mathcal{R}}_{k-1}$
+# (eq. (26), StabCondFmin). When the sequence has converged, $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_{k-1}$
+# and $\alpha = 1$, so the theorem does not apply. *One facet* that does not move is enough for this. So $\alpha$ must
+# be taken at a $k$ at which the sequence still shrinks in every direction. Every such $\overline{\mathcal{R}}_k$ is a
+# stable set.
 #
-# What the proof uses is only that a slightly larger set is mapped back:
+# The proof uses only that a slightly larger set is mapped back:
 #
 # $$ \mathcal{R}_1(\alpha\, \overline{\mathcal{R}}_{k}) \subseteq \overline{\mathcal{R}}_{k}
-#    \quad\text{for some } \alpha > 1 , $$
+#    \quad\text{for some } \alpha > 1 . $$
 #
-# which eq. StabCondFmin implies (apply $\overline{\mathcal{R}}_1$ to both sides). `mireach.contraction` computes the
-# largest such $\alpha$ by bisection, without looking at $\overline{\mathcal{R}}_{k-1}$.
+# Eq. (26), StabCondFmin, implies this (apply $\overline{\mathcal{R}}_1$ to both sides). `mireach.contraction` computes
+# the largest such $\alpha$ by bisection, without using $\overline{\mathcal{R}}_{k-1}$.
 
 # %%
 z = about["equilibrium"].centre
@@ -345,9 +349,9 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# In the first steps some facet has not moved yet, and $\alpha = 1$; near the end facets come to rest, one after the
-# other, and at the fixed point $\alpha$ is exactly 1 again. Theorem 1 holds in the window between, and the terminal
-# set should be taken from it. The crosses are never below the dots: what the proof needs holds a little more often.
+# In the first steps some facet has not moved yet, and $\alpha = 1$. Near the end the facets stop moving one after the
+# other, and at the fixed point $\alpha$ is exactly 1 again. Theorem 1 holds between, and the terminal set should be
+# taken from there. The crosses are never below the dots: the inclusion that the proof needs holds a little more often.
 
 # %% tags=["nbval-check-output"]
 window = to_rest.stable_steps
@@ -359,17 +363,17 @@ for name in cases:
     print(f"{name}: the rule holds, yet alpha is exactly 1, for {len(resting)} networks")
 
 # %% [markdown]
-# The paper reports $\alpha = 1 + 9 \cdot 10^{-7}$, about the accuracy of a MILP solver. Bounds from cells are
-# rounded up by at most a few $10^{-11}$ and equal sets give equal numbers, so here "exactly 1" can be told from
-# "a little more than 1".
+# The paper reports $\alpha = 1 + 9 \cdot 10^{-7}$, which is about the accuracy of a MILP solver. Bounds from cells are
+# rounded up by at most a few $10^{-11}$, and equal sets give equal numbers. So here "exactly 1" can be distinguished
+# from "a little more than 1".
 
 # %% [markdown]
 # ## 3 Tighter error sets: square, box, segment
 #
 # Theorem 2 needs $f(x, u) - f_{\text{PWA}}(x, u) \in \mathcal{D}^{(i)}$. The paper takes the largest error and a
 # square, $\mathcal{D} = \{d : |d|_\infty \le 0.1186\}$. But the error of the double integrator is
-# $0.025\,(x_1^2 + x_2^2)$ minus its affine fit, **the same in both components**, and not symmetric about 0. So one may
-# take the box of the true range, or the *segment* along $(1, 1)$, both proven by the same fit.
+# $0.025\,(x_1^2 + x_2^2)$ minus its affine fit. It is **the same in both components**, and not symmetric about 0. So we
+# may take the box of the true range, or the *segment* along $(1, 1)$. Both are proven by the same fit.
 
 # %% tags=["nbval-check-output"]
 fit = cases["double_integrator"].fit
@@ -418,14 +422,14 @@ figure.legend(loc="outside lower center", ncols=3, frameon=False)
 plt.show()
 
 # %% [markdown]
-# The smaller the error set, the fewer iterations $\mathcal{F}_{\max}$ takes, and the smaller is the terminal set, at no
-# cost at all: the same network, the same fit, the same theorem. $\mathcal{F}_{\max}$ itself becomes a little *smaller*
-# too. It is no maximal set: it follows images of $\mathcal{X}$, and those shrink with $\mathcal{D}$.
+# The smaller the error set, the fewer iterations $\mathcal{F}_{\max}$ takes, and the smaller is the terminal set. This
+# costs nothing: the network, the fit and the theorem are the same. $\mathcal{F}_{\max}$ itself also becomes a little
+# *smaller*. It is not a maximal set: it is made of images of $\mathcal{X}$, and these shrink with $\mathcal{D}$.
 #
-# With the segment the stopping rule may fail about the equilibrium too (last column): across a segment
-# $h_{\mathcal{D}}(v) = 0$ and the bracket of section 2 has no slack left. The sequence converges all the same.
+# With the segment the stopping rule may also fail about the equilibrium (last column): across a segment
+# $h_{\mathcal{D}}(v) = 0$, and the bracket of section 2 has no margin left. The sequence converges nevertheless.
 #
-# A minimax fit moves $p$ to the middle of the error range. Its square is exactly the box above, shifted: the two
+# A minimax fit shifts $p$ to the middle of the error range. Its square is exactly the box above, shifted, so the two
 # give the same sets.
 
 # %% tags=["nbval-check-output"]
@@ -436,8 +440,9 @@ print(f"minimax: proven error {minimax.proven_error:.4f}, {other.iterations} ite
 # %% [markdown]
 # ## 4 How typical are the numbers of one network?
 #
-# The paper shows one trained network a case. Training begins with random weights, so its numbers are one draw.
-# `mireach` ships a study: one network a seed, each analysed like the paper's. What fraction has a safe set at all?
+# The paper shows one trained network per case. Training begins with random weights, so its numbers are one random
+# sample. `mireach` ships a study with one network per seed, each analysed like the paper's. How many of them have a
+# safe set at all?
 
 # %% tags=["nbval-check-output"]
 for name in cases:
@@ -465,7 +470,7 @@ def mark(ax, here, paper):
 
 # %%
 def histogram(ax, name, column, bins, paper, only=lambda row: True, log=False, **style):
-    """How the networks with a safe set spread in one column of the study."""
+    """Histogram of one column of the study, for the networks with a safe set."""
     values = [getattr(row, column) - log for row in proven[name] if only(row)]
     ax.hist(values, bins, edgecolor="black", linewidth=0.5, **style)
     row = shipped_row(name)
@@ -493,9 +498,9 @@ figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=Fals
 plt.show()
 
 # %% [markdown]
-# Case 1. A network that has a safe set has it after one iteration as a rule, as in the paper, and three of the four
-# sides of $\mathcal{F}_{\max}$ hardly depend on the network (notebook 06). The fourth does: the paper's 8.91 lies
-# well within the spread. So does $\bar k = 51$, between two groups of networks, with fewer and with more steps.
+# Case 1. A network that has a safe set usually has it after one iteration, as in the paper, and three of the four sides
+# of $\mathcal{F}_{\max}$ hardly depend on the network (notebook 06). The fourth side does: the paper's 8.91 lies well
+# within the range. So does $\bar k = 51$, between two groups of networks, one with fewer steps and one with more.
 
 # %%
 name, paper = "double_integrator", PAPER["double_integrator"]
@@ -516,12 +521,12 @@ figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=Fals
 plt.show()
 
 # %% [markdown]
-# Case 2. Here the paper's numbers are *not* typical of networks that were trained as ours were: its 19 iterations lie
-# far to the left of all of them, its $\bar k = 20$ at the right end or beyond. (The paper prints no $\alpha$ for this
-# case.) Below we look for what moves the 19.
+# Case 2. Here the paper's numbers are *not* typical of networks that are trained like ours. Its 19 iterations lie far
+# to the left of all of them, and its $\bar k = 20$ lies at the right end or beyond. (The paper prints no $\alpha$ for
+# this case.) Below we examine what changes the 19.
 #
-# The dotted lines are no random draw: of the networks that fit about as well as the best, `mireach` ships the one whose
-# figures are nearest to the paper's (`mireach.studies.seed_study.choose`).
+# The dotted lines are not a random sample. Of the networks that fit about as well as the best, `mireach` ships the one
+# whose numbers are closest to the paper's (`mireach.studies.seed_study.choose`).
 #
 # ### Does a smaller loss mean a better certificate?
 
@@ -560,15 +565,15 @@ for name in cases:
     print(f"  rank correlation of loss and {column} {rho:.2f}; the best loss of all: {ordered[0].verdict}")
 
 # %% [markdown]
-# Along the loss axis, dots and crosses mix. In case 2 the loss says nothing about whether there is a safe set, and
-# next to nothing about how long it takes. In case 1 the poorer half fails more often, but a small loss is no promise:
-# see the crosses on the left. The loss is an average over the data; a certificate is about the worst state, and part
-# of $\mathcal{X}$ has no data.
+# Along the loss axis, dots and crosses mix. In case 2 the loss does not predict whether there is a safe set, and hardly
+# predicts how many iterations it takes. In case 1 the networks with the larger losses fail more often, but a small loss
+# is no guarantee; see the crosses on the left. The loss is an average over the data. A certificate concerns the worst
+# state, and part of $\mathcal{X}$ has no data.
 #
 # ### The corner without data
 #
-# In case 2, the upper right corner of $\mathcal{X}$ holds states for which no input sequence is feasible, so there is
-# nothing to learn from. What does each network do at $x = (6, 6)$?
+# In case 2, the upper right corner of $\mathcal{X}$ contains states for which no input sequence is feasible, so there
+# is nothing to learn from. What does each network do at $x = (6, 6)$?
 
 # %%
 name = "double_integrator"
@@ -594,13 +599,13 @@ sixteen = [
 print(f"with 16 directions {sum(found.verdict == 'proven' for found in sixteen)} of {len(sixteen)} of these have one")
 
 # %% [markdown]
-# One number, at a state that no data point is near, tells the two kinds apart: networks that do not brake (almost)
-# fully in the corner have no safe set with this template. No loss can see that. And the cure need not be more
-# training: with twice as many directions these loops have safe sets as well.
+# One number, at a state far from all data points, separates the two groups. Networks that do not brake (almost) fully
+# in the corner have no safe set with this template. The loss cannot show this. More training is not the only remedy:
+# with twice as many directions these loops have safe sets as well.
 #
-# ### What moves the 19 iterations
+# ### What changes the 19 iterations
 #
-# The same few networks, one change at a time:
+# We use the same few networks and make one change at a time:
 
 # %%
 few = sorted(proven[name], key=lambda row: row.loss)[:4]
@@ -621,11 +626,11 @@ for words, found in counts.items():
     print(f"{words:34}" + "".join(f"{answer.iterations:<10}" for answer in found))
 
 # %% [markdown]
-# The disturbance set and the template move the count by far more than the seed does. The tight error sets come near the
-# paper's 19, and so does a square of about half the size.
+# The disturbance set and the template change the number of iterations by far more than the seed does. The tight error
+# sets come near the paper's 19, and so does a square of about half the size.
 #
-# Why does the square take so long? Follow the state that holds up $\mathcal{F}_{k+1}$ at the top ($x_2$), and the
-# state from which the image leaves $\mathcal{X}$ furthest on the right ($x_1$):
+# Why does the square take so long? We look at two states: the support vector of $\mathcal{F}_{k+1}$ at the top ($x_2$),
+# and the state from which the image exceeds $\mathcal{X}$ by most on the right ($x_1$):
 
 # %%
 case, sequence = cases[name], safe[name]
@@ -651,28 +656,29 @@ plotting.legend_above(ax, 3)
 plt.show()
 
 # %% [markdown]
-# Grey is the exact image $\mathcal{R}_1(\mathcal{F}_{k-1})$, dotted its outer set, blue what $\mathcal{X}$ leaves of
-# that. The star, from which the next image leaves $\mathcal{X}$, sits in the upper right corner of $\mathcal{F}_k$,
-# **which no trajectory reaches in this step**. Two things keep that corner: states on the left, from which the network
-# accelerates to the right, hold up the top, and the part of the image *outside* $\mathcal{X}$ holds up the
-# slanted facet. The top falls by a few hundredths an iteration.
+# Grey is the exact image $\mathcal{R}_1(\mathcal{F}_{k-1})$, dotted its outer set, blue the intersection of the outer
+# set with $\mathcal{X}$. The star marks the state from which the next image leaves $\mathcal{X}$. It lies in the upper
+# right corner of $\mathcal{F}_k$, **which no trajectory reaches in this step**. Two things keep that corner in the set.
+# States on the left, from which the network accelerates to the right, determine the top facet. The part of the image
+# *outside* $\mathcal{X}$ determines the slanted facet. The top moves down by a few hundredths per iteration.
 #
-# ### Cut first, then cover
+# ### First intersect, then over-approximate
 #
-# Eq. Fk covers the image by the template first and cuts it by $\mathcal{X}$ afterwards. With $\overline{\,\cdot\,}$
-# for the cover by the template, turn the order round:
+# Eq. (21), Fk, first encloses the image by the template and then intersects it with $\mathcal{X}$. Write
+# $\overline{\,\cdot\,}$ for the enclosure by the template, and reverse the order:
 #
 # $$ \mathcal{F}_{k+1} = \overline{\mathcal{R}_1(\mathcal{F}_k) \cap \mathcal{X}} \cap \mathcal{F}_k . $$
 #
-# Still, if $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{X}$ for some $k$, then $\mathcal{F}_k$ is RPI:
-# $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{R}_1(\mathcal{F}_{k-1}) \cap \mathcal{X}$, and so on down to
-# $\mathcal{R}_1(\mathcal{F}_0) \cap \mathcal{X}$; every one of them lies in its cover, and $\mathcal{F}_k$ is the
-# intersection of these covers. The MILP needs only the rows $x^+ \in \mathcal{X}$ more, the cells a cut of each image.
+# It still holds that $\mathcal{F}_k$ is RPI if $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{X}$ for some $k$.
+# Proof: $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{R}_1(\mathcal{F}_{k-1}) \cap \mathcal{X}$, and so on down to
+# $\mathcal{R}_1(\mathcal{F}_0) \cap \mathcal{X}$. Each of these sets lies in its enclosure, and $\mathcal{F}_k$ is the
+# intersection of the enclosures. The MILP only needs the additional rows $x^+ \in \mathcal{X}$; the cells need an
+# intersection for each image.
 
 
 # %%
 def cut_then_cover(loop, F, V, margin=1e-9):
-    """h of R_1(F) & X along V (a little more, for rounding), and whether R_1(F) lies in X."""
+    """h of R_1(F) & X along V (rounded up a little), and whether R_1(F) lies in X."""
     X, found, inside, value = loop.system.state_set, cells(loop), True, np.full(len(V), -np.inf)
     parts, index = found.restrict(F)
     for i, j in enumerate(index):
@@ -711,21 +717,21 @@ for words, loop in loops.items():
         print(f"cut first {mr.check_rpi(loop, here[-1]).verdict} after {len(here) - 1}")
 
 # %% [markdown]
-# The order alone saves a good part of the iterations, and finds a set where the other order finds none. `check_rpi`
-# confirms each of the sets, so nobody has to trust the derivation above. The count is mostly a property of the
-# template, of the error set and of such details; which of them made it 19 in the paper, its text does not tell.
+# The order alone saves many of the iterations, and finds a set where the other order finds none. `check_rpi` confirms
+# each of the sets, so you need not trust the derivation above. The number of iterations mostly depends on the template,
+# the error set and such details. The text of the paper does not show which of them gave 19.
 
 # %% [markdown]
 # ## 5 A certificate that anybody can check
 #
-# So far *proven* meant: this package says so, by counted rounding or exact arithmetic. A referee need not believe that.
-# `mr.certificate.write` puts system, network, template, the sequence of sets and the claims into one file; where a
-# set misses its claim by rounding, it is enlarged until the claim is *exactly* true. `mr.certificate.verify` derives
-# every claim again: `mireach/checker.py` imports nothing but Python's standard library, shares no code with the
-# engines, and computes with whole numbers, so that nothing is ever rounded.
+# So far *proven* meant that this package proves it, by counted rounding or exact arithmetic. A referee need not trust
+# the package. `mr.certificate.write` writes the system, the network, the template, the sequence of sets and the claims
+# to one file. Where a set misses its claim by rounding, it is enlarged until the claim is *exactly* true.
+# `mr.certificate.verify` derives every claim again. The checker, `mireach/certificate/checker.py`, imports only
+# Python's standard library, shares no code with the engines, and computes with integers, so nothing is ever rounded.
 #
-# Every number counts as the float that it is, a binary fraction: 0.936 is 8430738502437569 / 2^53. The checker reads it
-# in the same way.
+# Every number is read as the float that it is, i.e. as a binary fraction: 0.936 is 8430738502437569 / 2^53. The checker
+# reads it in the same way.
 
 # %% tags=["nbval-check-output"]
 folder = Path(tempfile.mkdtemp())
@@ -735,17 +741,17 @@ certificate = mr.certificate.write(folder / "certificate.json", paper_case.loop,
 print(mr.certificate.verify(folder / "certificate.json", network=data_file("pwa", "network.json")))
 
 # %% [markdown]
-# Theorem 1 is no matter of tolerances any more. For the sets of the file, $\alpha$ is a fraction:
+# Theorem 1 no longer depends on tolerances. For the sets of the file, $\alpha$ is a fraction:
 
 # %% tags=["nbval-check-output"]
 print(f"alpha = {certificate.alpha}")
 print(f"alpha > 1: {certificate.alpha > 1}")
 
 # %% [markdown]
-# ### A forged one is refused
+# ### A forged certificate is refused
 #
-# Somebody would like a smaller safe set and moves the top of $\mathcal{F}_{\max}$ down, from 8.52 to 8. The digest
-# no longer fits, and the checker says so before it looks at anything else.
+# Suppose a forger wants a smaller safe set and moves the top of $\mathcal{F}_{\max}$ from 8.52 down to 8. The digest no
+# longer matches, and the checker reports this before it checks anything else.
 
 # %% tags=["nbval-check-output"]
 forged = json.loads((folder / "certificate.json").read_text())
@@ -756,9 +762,9 @@ forged["sets"][0][top] = 8.0
 print(mr.certificate.verify(folder / "forged.json"))
 
 # %% [markdown]
-# A better forger makes the digest anew, `mireach.certificate.checker.digest` tells how. Then only the mathematics is
-# left, and it answers with a step out of the set, which anybody can replay: $x$ lies in the
-# forged set, its successor does not.
+# A better forger also computes a new digest, with `mireach.certificate.checker.digest`. Then the checker must decide by
+# mathematics. It returns a step out of the set, which anybody can replay: $x$ lies in the forged set, and its successor
+# does not.
 
 # %% tags=["nbval-check-output"]
 report = mr.certificate.verify(folder / "forged.json", ignore_digest=True)
@@ -768,42 +774,42 @@ x, d = (np.array([float(Fraction(part)) for part in witness[key]]) for key in ("
 print(f"\nreplayed: {x} -> {paper_case.loop.step(x, d).round(6)}, and x2 should be at most 8")
 
 # %% [markdown]
-# Claims that rest on a refuted one are not looked at any more; those that do not, stand. With 8.5 in place of 8 the
-# forger would have been lucky: that smaller set is RPI as well, and the checker proves it. It judges what a file
-# says, not who wrote it.
+# Claims that rest on a refuted claim are not checked any more; the others stand. With 8.5 instead of 8 the forgery
+# would have succeeded: that smaller set is RPI as well, and the checker proves it. The checker judges the content of a
+# file, not its author.
 #
-# The shipped certificates are `data/pwa/certificate.json` and `data/double_integrator/certificate.json`, the second
-# with the error set of the fit and Theorem 2. `python3 run.py verify FILE` checks them within seconds, on any machine
-# that has Python, with nothing installed.
+# The shipped certificates are `data/pwa/certificate.json` and `data/double_integrator/certificate.json`. The second
+# contains the error set of the fit and Theorem 2. `python3 run.py verify FILE` checks them within seconds, on any
+# machine with Python, without installing anything.
 
 # %% [markdown]
 # ## What you saw
 #
-# - In the plane the closed loop is a list of polygons with one affine map each, and $h_{\mathcal{R}_1}$ is a maximum
+# - For two states the closed loop is a list of polygons with one affine map each, and $h_{\mathcal{R}_1}$ is a maximum
 #   over their vertices within $\mathcal{F}$. It agrees with the MILP of Lemma 2.
-# - The stopping rule tests more than convergence: its centre must be (nearly) held by the dynamics and $\mathcal{D}$.
-#   The origin need not be, the equilibrium is where there is one.
+# - The stopping rule tests more than convergence: the dynamics must (nearly) fix its centre, up to $\mathcal{D}$. The
+#   origin need not satisfy this. The equilibrium does, where there is one.
 # - At a fixed point $\alpha = 1$ exactly. Theorem 1 needs a $k$ at which every facet still moves, or `contraction`.
-# - Error sets that know the structure of the error cost nothing and shrink the result.
-# - A small loss is no certificate, in case 2 not even a hint. Template, error set, order of operations and states
-#   without data decide.
-# - A certificate carries what its claims need. Exact arithmetic decides them, $\alpha > 1$ included, and a forger meets
-#   a step that leaves the forged set.
+# - Error sets that use the structure of the error cost nothing and shrink the terminal set.
+# - A small loss is no certificate; in case 2 it is not even an indication. The template, the error set, the order of
+#   operations and the states without data decide.
+# - A certificate contains what its claims need. Exact arithmetic decides them, $\alpha > 1$ included, and refutes a
+#   forged set by a step that leaves it.
 #
 # ## On your own
 #
 # - Find the bounds on $|d|_\infty$ for which the shipped network needs exactly 19 iterations.
-# - Of the networks without a safe set: does a small change cure them? Add states in the upper right corner with
-#   $u = -2$ to the data, and train again (`mireach.learning.training.train`).
-# - Repeat the table with `mr.directions(32)`. When does it stop to pay?
-# - Forge the certificate so that it is still proven: which sets can be changed, and in which direction? What may you do
-#   to the weights of the network?
-# - Take a network for which the rule holds and $\alpha = 1$. Print `alphas`: since which $k$ has a facet rested?
+# - Take the networks without a safe set. Does a small change help? Add states in the upper right corner with $u = -2$
+#   to the data, and train again (`mireach.learning.training.train`).
+# - Repeat the table with `mr.directions(32)`. From which number of directions on does it no longer pay?
+# - Forge the certificate so that it is still proven. Which sets can be changed, and in which direction? How may you
+#   change the weights of the network?
+# - Take a network for which the rule holds and $\alpha = 1$. Print `alphas`. From which $k$ on does a facet not move?
 #
 # ## Further reading
 #
-# - Raković, Kerrigan, Kouramas, Mayne, *Invariant approximations of the minimal robust positively invariant set*,
-#   IEEE Transactions on Automatic Control 50(3), 2005: where rules such as eq. TerminationFmin come from.
+# - Raković, Kerrigan, Kouramas, Mayne, *Invariant approximations of the minimal robust positively invariant set*, IEEE
+#   Transactions on Automatic Control 50(3), 2005: the source of rules such as eq. (25), TerminationFmin.
 # - Blanchini, Miani, *Set-Theoretic Methods in Control*, Birkhäuser: contraction, ultimate boundedness, C-sets.
 #
-# **Next:** notebook 11 puts your own system and your own network in place of the paper's.
+# **Next:** notebook 11 analyses your own system and your own network.

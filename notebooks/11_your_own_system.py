@@ -11,15 +11,15 @@
 # %% [markdown]
 # # Certify your own system and your own network
 #
-# **What you will do.** Put a plant and a ReLU network of your own in place of the paper's: first a piecewise-affine
-# plant whose mode depends on the input, then a nonlinear pendulum, then a plant with three states. Each time: safe
-# set, terminal set, and a summary that says what is proven.
+# **What you will do.** Replace the paper's plant and network by other plants and ReLU networks. The first plant is
+# piecewise affine, and its mode depends on the input. The second is a nonlinear pendulum. The third has three states.
+# For each, compute the safe set, the terminal set, and a summary of what is proven.
 #
-# **What you will learn.** Which five things `mireach` needs to know; how a nonlinear plant becomes a piecewise-affine
-# one with a *proven* error; what to do when there is no safe set; what the error messages look like.
+# **What you will learn.** Which five things `mireach` needs. How a nonlinear plant becomes a piecewise-affine one with
+# a *proven* error. What to do when there is no safe set. What the error messages look like.
 #
-# **What you need.** Notebook 00; the others explain what happens behind the calls. PyTorch for the network. "Run all"
-# takes about half a minute, with the training of one network in it.
+# **What you need.** Notebook 00; the others explain what the calls do. PyTorch for the network. "Run all" takes about
+# half a minute, including the training of one network.
 
 # %%
 from itertools import pairwise
@@ -39,13 +39,13 @@ generator = torch.manual_seed(0)
 # ## 1 The template: five things to change
 #
 # The loop is $x(k+1) = A^{(i)} x(k) + B^{(i)} u(k) + p^{(i)} + d(k)$ if $(x(k), u(k)) \in \mathcal{P}^{(i)}$, with
-# $d(k) \in \mathcal{D}^{(i)}$ and $u(k) = \Phi(x(k))$ (eqs. SysWithDis, dinDi, UOfK). As an example, take a mass on a
-# spring with a damper ($x_1$ position, $x_2$ velocity) and an actuator that pulls ($u \le 0$) twice as hard as it
-# pushes ($u \ge 0$). The mode depends on the *input*:
+# $d(k) \in \mathcal{D}^{(i)}$ and $u(k) = \Phi(x(k))$ (eq. (1), SysWithDis; eq. (13), dinDi; eq. (3), UOfK). The
+# example is a mass on a spring with a damper ($x_1$ position, $x_2$ velocity). Its actuator pulls ($u \le 0$) twice as
+# hard as it pushes ($u \ge 0$). So the mode depends on the *input*:
 #
 # $$ \mathcal{P}^{(1)} = \{(x, u) : -u \le 0\}, \qquad \mathcal{P}^{(2)} = \{(x, u) : u \le 0\} . $$
 #
-# A region is a `Polytope` in $(x, u)$: its rows have $n + m$ entries, here $(0, 0, -1)$ and $(0, 0, 1)$.
+# A region is a `Polytope` in $(x, u)$. Its rows have $n + m$ entries, here $(0, 0, -1)$ and $(0, 0, 1)$.
 
 # %%
 X = mr.Polytope.box([-2, -2], [2, 2])  # 1: state constraints
@@ -55,7 +55,7 @@ U = mr.Polytope.box([-1], [1])  # 2: input constraints
 def spring(bound):
     """The plant, with |d|_inf <= bound."""
     A = [[1.0, 0.4], [-0.4, 0.7]]
-    D = mr.Polytope.box([-bound, -bound], [bound, bound])  # 3: disturbance set (one a mode, if they differ)
+    D = mr.Polytope.box([-bound, -bound], [bound, bound])  # 3: disturbance set (one per mode, if they differ)
     pushes, pulls = mr.Polytope([[0, 0, -1]], [0]), mr.Polytope([[0, 0, 1]], [0])
     modes = [  # 4: A, B, p, region and D of every mode
         mr.Mode(A, [[0.0], [0.4]], [0, 0], pushes, D),
@@ -65,16 +65,16 @@ def spring(bound):
 
 
 # %% [markdown]
-# The fifth thing is the controller: any `torch.nn.Sequential` of Linear, ReLU, LeakyReLU and this package's Maxout.
-# ReLU is a maxout of the two channels $(z, 0)$, so all of the paper applies. Until you have a network, write a known
-# law as one. A saturated linear law is a ReLU network of two neurons,
+# The fifth thing is the controller: any `torch.nn.Sequential` of Linear, ReLU, LeakyReLU and this package's Maxout. A
+# ReLU is a maxout neuron with the two channels $(z, 0)$, so the paper's method applies to it. If you have no network
+# yet, write a known control law as one. A saturated linear law is a ReLU network with two neurons,
 #
 # $$ u = \max(-c, \min(K x, c)) = -c + \max(K x + c, 0) - \max(K x - c, 0) . $$
 
 
 # %%
 def saturated_law(K, c):
-    """The law u = K x, cut off at |u| <= c, as a torch module."""
+    """The law u = K x, saturated at |u| <= c, as a torch module."""
     K = torch.tensor(K, dtype=torch.float64).reshape(1, -1)
     first, last = torch.nn.Linear(K.shape[1], 2).double(), torch.nn.Linear(2, 1).double()
     with torch.no_grad():
@@ -95,8 +95,9 @@ K = lqr(np.array([[1.0, 0.4], [-0.4, 0.7]]), np.array([[0.0], [0.6]]), np.eye(2)
 module = saturated_law(K, 1.0)  # 5: your network
 
 # %% [markdown]
-# From here on nothing depends on the example. `saturate` adds the projection onto $\mathcal{U}$ as two maxout layers
-# (here it changes nothing; a trained network needs it). The summary prints what is proven, and by what.
+# From here on nothing depends on the example. `saturate` adds the projection onto $\mathcal{U}$ as two maxout layers.
+# (Here it changes nothing, but a trained network needs it.) The summary prints what is proven, and what the proof rests
+# on.
 
 
 # %%
@@ -126,7 +127,7 @@ def entered(loop, safe, terminal, count=200):
 
 
 # %% tags=["nbval-check-output"]
-C = mr.directions(16)  # the template; more directions, larger chance
+C = mr.directions(16)  # the template; more directions find a safe set more often
 loop = mr.ClosedLoop(spring(0.1), mr.MaxoutNetwork.from_torch(module).saturate(-1, 1))
 safe, terminal = certify(loop, C)
 fine, paths = entered(loop, safe, terminal)
@@ -149,14 +150,15 @@ draw(ax, loop, safe, terminal, paths)
 plt.show()
 
 # %% [markdown]
-# Whatever the disturbance does, a trajectory that starts in the green set never leaves it and ends in the hatched one.
-# Neither set is symmetric: the actuator is not.
+# For every disturbance, a trajectory that starts in the green set never leaves it and ends in the hatched set. Neither
+# set is symmetric, because the actuator is not.
 
 # %% [markdown]
 # ## 2 Swap in a network that you train
 #
-# Any training will do; `mireach` looks at the weights only. Here a ReLU network with two hidden layers of eight
-# neurons imitates the law above at 2000 random states, in a few seconds. Only the lines of item 5 change.
+# Any training method will do, because `mireach` uses only the weights. Here a ReLU network with two hidden layers of
+# eight neurons imitates the law above at 2000 random states. Training takes a few seconds. Only the lines of item 5
+# change.
 
 # %%
 states = torch.rand(2000, 2, dtype=torch.float64) * 4 - 2
@@ -189,32 +191,33 @@ if own_safe.set is not None:
     plt.show()
 
 # %% [markdown]
-# The dashed outlines are the sets of the law. Sets of a network that imitates it well are nearly the same; how near
-# depends on the training, so your numbers may differ a little from the ones stored here. Save what you certified with
-# `network.save("mine.json")`: the numbers read back to the same floats.
+# The dashed outlines are the sets of the law. A network that imitates the law well has nearly the same sets. The
+# difference depends on the training, so your numbers may differ a little from the ones stored here. Save the certified
+# network with `network.save("mine.json")`: the numbers read back to the same floats.
 
 # %% [markdown]
 # ## 3 A nonlinear plant: fit, prove the error, certify
 #
-# An inverted pendulum with friction, angle $x_1$, velocity $x_2$, torque $u$, in steps of $h = 0.2$:
+# The plant is an inverted pendulum with friction, with angle $x_1$, velocity $x_2$, torque $u$, and sampling time
+# $h = 0.2$:
 #
 # $$ f(x, u) = \begin{pmatrix} x_1 + h x_2 \\ x_2 + h\,(\sin x_1 - 0.5\, x_2 + u) \end{pmatrix} . $$
 #
-# `fit_pwa` fits $A^{(i)} x + B^{(i)} u + p^{(i)}$ in every region and *proves* a bound on the error over all of
+# `fit_pwa` fits $A^{(i)} x + B^{(i)} u + p^{(i)}$ in every region. It *proves* a bound on the error over all of
 # $\mathcal{X} \times \mathcal{U}$, by branch and bound in ball arithmetic. Write $f$ with numpy functions, so that it
-# can be evaluated on balls as well as on numbers.
+# can be evaluated for balls as well as for numbers.
 
 # %%
 h = 0.2
 
 
 def pendulum(x, u):
-    """f(x, u), one entry a state."""
+    """f(x, u), one entry per state."""
     return x[0] + h * x[1], x[1] + h * (np.sin(x[0]) - 0.5 * x[1] + u[0])
 
 
 plant = mr.NonlinearSystem(pendulum, mr.Polytope.box([-1, -1], [1, 1]), mr.Polytope.box([-1.5], [1.5]))
-edges = np.linspace(-1, 1, 4)  # three strips of the angle; sin is the only thing that bends
+edges = np.linspace(-1, 1, 4)  # three strips of the angle; sin is the only nonlinearity
 strips = [mr.Polytope([[1, 0, 0], [-1, 0, 0]], [high, -low]) for low, high in pairwise(edges)]
 fit = mr.fit_pwa(plant, strips, error="ball")
 
@@ -225,8 +228,9 @@ for i, mode in enumerate(fit.modes, start=1):
     print(f"mode {i}: A = {np.round(mode.A, 3).tolist()}, p = {(np.round(mode.p, 3) + 0.0).tolist()}")
 
 # %% [markdown]
-# The disturbance set is then $\mathcal{D} = \{d : |d|_\infty \le \text{proven error}\}$, and Lemma RkNonlinear and
-# Theorem 2 carry everything over to the pendulum itself. We allow a little more, for what no model covers:
+# The disturbance set is then $\mathcal{D} = \{d : |d|_\infty \le \text{proven error}\}$. With Lemma 5, RkNonlinear, and
+# Theorem 2 the results hold for the pendulum itself. We enlarge the set a little, for effects that the model does not
+# include:
 
 # %% tags=["nbval-check-output"]
 radius = fit.proven_error + 0.01
@@ -250,20 +254,20 @@ plotting.plot_vector_field(
 plt.show()
 
 # %% [markdown]
-# Figure 3 of the paper for the pendulum: arrows are the steps of the *nonlinear* loop, the red line is one of its
-# trajectories, and its first states lie in the small reachable sets drawn around them. The safe set reaches the angle
-# limits $\pm 1$, but not the velocity limits: its upper and lower sides are where images of the state set end.
+# This is Figure 3 of the paper for the pendulum. Arrows are the steps of the *nonlinear* loop. The red line is one of
+# its trajectories, and its first states lie in the small reachable sets drawn around them. The safe set extends to the
+# angle limits $\pm 1$, but not to the velocity limits: its upper and lower sides are where images of the state set end.
 
 # %% [markdown]
 # ## 4 What to do when there is no safe set
 #
 # | `verdict` | meaning | what to change |
 # |---|---|---|
-# | `refuted` | the sequence rests or is empty; a *witness* leaves $\mathcal{X}$ | template, $\mathcal{D}$, network |
-# | `unknown` | `max_iterations` came first, or a solver was stopped | more iterations, more time |
+# | `refuted` | the sequence stopped or is empty; a *witness* leaves $\mathcal{X}$ | template, $\mathcal{D}$, network |
+# | `unknown` | `max_iterations` was reached first, or a solver was stopped | more iterations, more time |
 #
-# "Refuted" is about the sequence of Prop. Fmax *with this template*; other safe sets may exist. Give the spring a
-# disturbance 2.5 times as large, and take eight directions:
+# "Refuted" refers to the sequence of Prop. 3, Fmax, *with this template*; other safe sets may exist. As an example,
+# multiply the disturbance of the spring by 2.5, and use eight directions:
 
 # %% tags=["nbval-check-output"]
 rough = mr.ClosedLoop(spring(0.25), mr.MaxoutNetwork.from_torch(module).saturate(-1, 1))
@@ -286,15 +290,15 @@ plotting.legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# The witness is a state of the last set whose image leaves $\mathcal{X}$. **Look at where it is.** Here it sits in a
-# corner that the template cannot cut off, and 16 directions find a safe set (green outline). Were it a state where the
-# network does something foolish, then more data there would be the cure; were it one that no input can save, a
-# smaller $\mathcal{X}$ or $\mathcal{D}$. How much disturbance can each template bear?
+# The witness is a state of the last set whose image leaves $\mathcal{X}$. **Look at where it is.** Here it lies in a
+# corner that the template cannot cut off, and 16 directions find a safe set (green outline). If the network gave a bad
+# input there, more training data there would help. If no input could save the state, a smaller $\mathcal{X}$ or
+# $\mathcal{D}$ would help. What is the largest tolerated disturbance for each template?
 
 
 # %%
 def largest_bound(count, low=0.0, high=0.5, accuracy=0.002):
-    """Bisection: a bound at which a safe set is found, and none a little above it, for `count` directions."""
+    """Bisection for `count` directions: a bound with a safe set such that none is found a little above it."""
     while high - low > accuracy:
         middle = (low + high) / 2
         found = mr.safe_set(rough.with_disturbance(mr.Polytope.box([-middle] * 2, [middle] * 2)), mr.directions(count))
@@ -307,14 +311,15 @@ for count in (8, 16, 32):
     print(f"{count} directions: a safe set up to |d| <= {largest_bound(count):.2f}")
 
 # %% [markdown]
-# Notebook 10 shows two more cures: error sets with the true shape of the error, and cutting the image by $\mathcal{X}$
-# before the template covers it.
+# Notebook 10 shows two more remedies: error sets with the true shape of the error, and intersecting the image with
+# $\mathcal{X}$ before the template encloses it.
 
 # %% [markdown]
 # ## 5 More than two states
 #
-# The cells live in the plane. For $n > 2$ the engine is the MILP of Lemma 2, which `mireach` takes by itself there.
-# Three coupled first-order lags, the last of them unstable, under a saturated LQR; the template is a box, 6 directions:
+# The cells are limited to two states. For $n > 2$ the engine is the MILP of Lemma 2, which `mireach` then selects by
+# itself. The example has three coupled first-order lags, the last of them unstable, and a saturated LQR. The template
+# is a box, i.e. 6 directions:
 
 # %%
 A3 = np.array([[0.8, 0.3, 0.0], [0.0, 0.7, 0.3], [0.0, 0.0, 1.05]])
@@ -329,20 +334,20 @@ safe3, terminal3 = certify(loop3, mr.box_directions(3), "milp", epsilon=0.1, max
 print(f"{entered(loop3, safe3, terminal3)[0]} for 200 disturbed trajectories")
 
 # %% [markdown]
-# Each step solves six MILPs. What makes them slow is the number of binaries that stay open, so the time grows with the
-# size of the set and of the network: begin with a coarse template and a generous $\bar\epsilon$, and pass
-# `time_limit=...` to be told instead of waiting. `mireach.approximation.error_directions(3)` is a template of 18
-# directions for three states.
+# Each step solves six MILPs. Their time depends on the number of binaries that the bounds do not fix, so it grows with
+# the size of the set and of the network. Begin with a coarse template and a large $\bar\epsilon$. Pass
+# `engine=mr.Milp(time_limit=...)` to limit the time of a call. `mireach.approximation.error_directions(3)` is a
+# template of 18 directions for three states.
 
 # %% [markdown]
 # ## 6 When something does not fit
 #
-# Errors come early and say what to do. Some typical ones:
+# Errors are raised early and say what to do. Some typical ones:
 
 
 # %%
 def show(what, attempt):
-    """Run something that is wrong, and print what the library says."""
+    """Run a wrong call and print the error message."""
     try:
         attempt()
     except ValueError as error:
@@ -362,23 +367,24 @@ show("a terminal set without a safe set", lambda: mr.terminal_set(rough, none_fo
 # ## What you saw
 #
 # - Five things define a problem: $\mathcal{X}$, $\mathcal{U}$, $\mathcal{D}$, the modes, the network.
-# - Any torch network of Linear, ReLU, LeakyReLU and Maxout will do; `saturate` makes it respect $\mathcal{U}$ exactly.
-# - A nonlinear plant needs a fit and a *proven* error; then Theorem 2 speaks about the plant itself.
-# - No safe set is an answer, too: it comes with a witness, and the witness says where to look.
-# - Beyond two states the MILP takes over, with the same calls.
+# - You can use any torch network of Linear, ReLU, LeakyReLU and Maxout; `saturate` makes it satisfy $\mathcal{U}$
+#   exactly.
+# - A nonlinear plant needs a fit and a *proven* error. Then Theorem 2 applies to the plant itself.
+# - If no safe set is found, the result contains a witness, and the witness shows where to look.
+# - For more than two states `mireach` uses the MILP, with the same calls.
 #
 # ## On your own
 #
 # - Replace the spring by your plant. Begin with $\mathcal{D} = \{0\}$ (`None`) and the law instead of the network.
 # - Give the pendulum five strips, or `per_mode=True`. What happens to the terminal set?
 # - Train a network of one hidden layer with 4, 8, 16 neurons. Which is the smallest with a safe set?
-# - Make the actuator of the spring pull three times as hard. Does the law that was designed for 0.6 still do?
+# - Make the actuator of the spring pull three times as hard. Is the law that was designed for 0.6 still good enough?
 #
 # ## Further reading
 #
 # - Bemporad, Morari, *Control of systems integrating logic, dynamics, and constraints*, Automatica 35, 1999: how to
-#   write hybrid systems with integers.
+#   model hybrid systems with integer variables.
 # - Goodfellow, Warde-Farley, Mirza, Courville, Bengio, *Maxout networks*, ICML 2013.
-# - `docs/references.bib` lists what the paper and this course rely on.
+# - `docs/references.bib` lists the references of the paper and of this course.
 #
-# Notebooks 12 to 14 go on: a lab for the disturbance, sets without templates, more than two states.
+# Notebooks 12 to 14 continue with a lab for the disturbance, sets without templates, and more than two states.

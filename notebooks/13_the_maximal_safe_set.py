@@ -11,14 +11,14 @@
 # %% [markdown]
 # # Find every safe state: the maximal set, backwards and exactly
 #
-# **What you will do.** Compute the set that the paper calls out of reach, the *maximal* RPI set in $\mathcal{X}$, for
-# both case studies. See why images forward throw safe states away, and why preimages do not. Prove the result in
-# rational arithmetic, forge it and watch the proof fail. Compare exact reachable sets with their covers, find the
-# attractor, and ask how much disturbance a controller survives.
+# **What you will do.** Compute the set that the paper's method cannot compute, the *maximal* RPI set in $\mathcal{X}$,
+# for both case studies. See why forward images lose safe states, and why preimages do not. Prove the result in rational
+# arithmetic, forge it, and see the proof fail. Compare exact reachable sets with their template over-approximations,
+# find the attractor, and compute the largest disturbance that a controller tolerates.
 #
-# **What you will learn.** That *being reached* and *being safe* are two different questions; how a nonconvex set is
-# taken backwards through hundreds of affine pieces, singular ones included; what rounding can do to a proof, and how
-# a margin of $10^{-9}$ and exact fractions settle it.
+# **What you will learn.** That *being reached* and *being safe* are two different questions. How to compute the
+# preimage of a nonconvex set under hundreds of affine pieces, including singular ones. How rounding can invalidate a
+# proof, and how a margin of $10^{-9}$ and exact fractions prevent this.
 #
 # **What you need.** Notebooks 06, 09 and the first section of 10 (cells). "Run all" takes about a minute.
 
@@ -40,18 +40,19 @@ loop, X = cases["double_integrator"].loop, cases["double_integrator"].system.sta
 # %% [markdown]
 # ## 1 Forward images answer another question
 #
-# Proposition Fmax iterates $\mathcal{F}_{k+1} = \overline{\mathcal{R}}_1(\mathcal{F}_k) \cap \mathcal{X}$: what can be
-# *reached* from $\mathcal{F}_k$? A state that nothing leads to is dropped, be it as safe as any other. And the
-# template covers what is not convex, so that the next image is too large, leaves $\mathcal{X}$ again, and is cut again.
+# Prop. 3, Fmax, iterates $\mathcal{F}_{k+1} = \overline{\mathcal{R}}_1(\mathcal{F}_k) \cap \mathcal{X}$: what can be
+# *reached* from $\mathcal{F}_k$? A state that cannot be reached is dropped, even if it is safe. The template also
+# encloses a nonconvex image in a convex set. The next image is then too large, leaves $\mathcal{X}$ again, and is
+# intersected with $\mathcal{X}$ again.
 #
-# The question that safety asks is *from where does every step stay inside?* That is a preimage:
+# Safety asks another question: *from which states does every step stay inside?* This is a preimage:
 #
 # $$ \mathcal{S}_0 = \mathcal{X}, \qquad
 #    \mathcal{S}_{k+1} = \{ x \in \mathcal{S}_k : A^{(i)} x + B^{(i)} \Phi(x) + p^{(i)} + d \in \mathcal{S}_k
 #    \text{ for all } d \in \mathcal{D}^{(i)} \text{ and every mode } i \text{ that contains } (x, \Phi(x)) \} . $$
 #
-# Every RPI set in $\mathcal{X}$ lies in all $\mathcal{S}_k$, and where the sequence comes to rest, the set is RPI.
-# So it is the largest of all: **first predict** how many times as large as $\mathcal{F}_{\max}$ it is.
+# Every RPI set in $\mathcal{X}$ lies in all $\mathcal{S}_k$. If $\mathcal{S}_{k+1} = \mathcal{S}_k$, the set is RPI. So
+# it is the largest RPI set. **First predict:** how many times as large as $\mathcal{F}_{\max}$ is it?
 
 # %% tags=["nbval-check-output"]
 maximal = {name: mr.maximal_safe_set(case.loop) for name, case in cases.items()}
@@ -69,21 +70,23 @@ for ax, (name, case) in zip(axes, cases.items()):
 plt.show()
 
 # %% [markdown]
-# **What to see.** In case 1 only a small corner is lost; in case 2 the corners in which the network cannot brake in
-# time. The paper's $\mathcal{F}_{\max}$ (hatched) is a part of the safe set, in case 2 a sixth of it.
+# **What to see.** In case 1 only a small corner is lost. In case 2 the corners are lost in which the network cannot
+# brake in time. The paper's $\mathcal{F}_{\max}$ (hatched) is a part of the safe set, in case 2 a sixth of it.
 
 # %% [markdown]
 # ## 2 One step backwards
 #
-# On a cell $\mathcal{C}_j$ the loop is $x^+ = M_j x + c_j + d$. If a convex polygon $\mathcal{T}$ is lost, then so is
+# Call a state *lost* if some disturbance sequence drives it out of $\mathcal{X}$. On a cell $\mathcal{C}_j$ the loop is
+# $x^+ = M_j x + c_j + d$. If all states of a convex polygon $\mathcal{T}$ are lost, then so are the states of
 #
-# $$ \{ x \in \mathcal{C}_j : M_j x + c_j \in \mathcal{T} \oplus (-\mathcal{D}) \} , $$
+# $$ \{ x \in \mathcal{C}_j : M_j x + c_j \in \mathcal{T} \oplus (-\mathcal{D}) \} . $$
 #
-# a polygon again: every half-plane $v y \le h_{\mathcal{T}}(v) + h_{\mathcal{D}}(-v)$ becomes
-# $(v M_j)\, x \le h_{\mathcal{T}}(v) + h_{\mathcal{D}}(-v) - v c_j$. Nothing is inverted, so $M_j$ may be singular, and
-# nothing is covered by a template: lost sets are unions of polygons, and a union need not be convex.
+# This set is a polygon again: every half-plane $v y \le h_{\mathcal{T}}(v) + h_{\mathcal{D}}(-v)$ becomes
+# $(v M_j)\, x \le h_{\mathcal{T}}(v) + h_{\mathcal{D}}(-v) - v c_j$. Nothing is inverted, so $M_j$ may be singular. No
+# template is used: lost sets are unions of polygons, and a union need not be convex.
 #
-# `carried_out(loop, S)` does this for all cells. The outside of $\mathcal{X}$ is lost to begin with:
+# `carried_out(loop, S)` computes this preimage for all cells. In the beginning, the complement of $\mathcal{X}$ is
+# lost:
 
 # %% tags=["nbval-check-output"]
 S = mr.Region.of(X)
@@ -100,11 +103,11 @@ for ax, (name, case) in zip(axes, cases.items()):
 plt.show()
 
 # %% [markdown]
-# **What to see.** From the bright corners one disturbance leads out of $\mathcal{X}$ at once; from darker ones it takes
-# more steps, and each of them needs a disturbance that leads into what is lost already. What is lost at step 5
-# of case 2 is a sliver of $2.5 \cdot 10^{-6}$, too thin to be seen; at step 6 nothing is.
+# **What to see.** From the bright corners one disturbance leads out of $\mathcal{X}$ at once. From darker corners it
+# takes more steps, each with a disturbance that leads into the part that is already lost. In case 2, step 5 loses only
+# a set of area $2.5 \cdot 10^{-6}$, too small to see. Step 6 loses nothing.
 #
-# Forward and backward side by side, the first two steps of case 2:
+# The next figure compares the first two forward and backward steps of case 2:
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(8.2, 4.4), layout="constrained")
@@ -121,17 +124,18 @@ for ax in axes:
 plt.show()
 
 # %% [markdown]
-# **What to see.** Left: $\mathcal{F}_1$ is the cover of what is reached (grey), cut by $\mathcal{X}$. The strip at the
-# bottom is dropped because nothing leads there, not because it is unsafe; and the upper right corner, from which the
-# loop does leave, is kept. Right: $\mathcal{S}_1$ and $\mathcal{S}_2$ cut off what is lost, and only that.
+# **What to see.** Left: $\mathcal{F}_1$ is the template set around what is reached (grey), intersected with
+# $\mathcal{X}$. The strip at the bottom is dropped because no state leads there, not because it is unsafe. The upper
+# right corner, from which the loop does leave $\mathcal{X}$, is kept. Right: $\mathcal{S}_1$ and $\mathcal{S}_2$ remove
+# exactly what is lost.
 
 # %% [markdown]
 # ## 3 What rounding can do, and a proof
 #
-# GEOS, which computes unions and differences, rounds at about $10^{-15}$. A set that is RPI on paper may then have an
-# image that sticks out by the last digit. So `maximal_safe_set` computes two sets: `set`, with every $\mathcal{D}$ and
-# every lost part widened by a slack of $10^{-9}$ of the size, and `outer`, with lost sets shrunk by as much. The true
-# set lies between them.
+# GEOS, which computes unions and differences, rounds at about $10^{-15}$. The computed set may then fail to be RPI
+# because its image exceeds it by the last digit. So `maximal_safe_set` computes two sets. For `set`, every
+# $\mathcal{D}$ and every lost part is enlarged by a slack of $10^{-9}$ of the size. For `outer`, lost sets are shrunk
+# by the same amount. The true set lies between them.
 
 # %% tags=["nbval-check-output"]
 for name, found in maximal.items():
@@ -139,10 +143,10 @@ for name, found in maximal.items():
     print(f"given up less than a millionth: {found.given_up < 1e-6}")
 
 # %% [markdown]
-# That `set` is RPI is then *proven*: its corners are floats, and floats are fractions. `prove_rpi` cuts the region into
-# convex pieces, takes every number as the fraction that it is, builds the cells anew without rounding, and shows for
-# every piece of every cell: image, widened by $\mathcal{D}$, less all pieces is empty.
-# None of the code that found the set is trusted. Now forge it:
+# Then `set` is *proven* to be RPI. Its vertices are floats, and floats are fractions. `prove_rpi` divides the region
+# into convex pieces, reads every number as the fraction that it is, and builds the cells again without rounding. For
+# every piece of every cell it shows that the image, enlarged by $\mathcal{D}$, lies in the union of the pieces. The
+# proof does not depend on the code that found the set. Now we forge the set:
 
 # %% tags=["nbval-check-output"]
 S = maximal["pwa"].set
@@ -158,16 +162,17 @@ print("replayed in fractions, to the last digit:", after == step.after)
 print("x1 =", str(step.state[0])[:60], "...")
 
 # %% [markdown]
-# A witness in fractions leaves nothing to argue about: the same step, replayed, ends in the same fraction.
+# A witness in fractions is conclusive: if you replay the step, you get the same fractions.
 #
-# What is *not* proven is that `outer` holds the maximal set: that rests on floats with a margin. A set called
-# invariant is; one called maximal is so to within `given_up`, unless rounding was a thousand times worse than expected.
+# It is *not* proven that `outer` contains the maximal set; this rests on floats with a margin. If the set is reported
+# to be invariant, it is. If it is reported to be maximal, this holds to within `given_up`, unless rounding errors are a
+# thousand times as large as expected.
 
 # %% [markdown]
-# ## 4 Exact reachable sets, and what covers add
+# ## 4 Exact reachable sets, and what templates add
 #
-# The same cells give $\mathcal{R}_k$ itself, image by image. With it the over-approximation of
-# $\overline{\mathcal{R}}_k$ (eq. ROverOver) can be seen:
+# The same cells give $\mathcal{R}_k$ itself, image by image. This shows the over-approximation of
+# $\overline{\mathcal{R}}_k$ (eq. (19), ROverOver):
 
 # %%
 F, C, steps = safe["double_integrator"].set, cases["double_integrator"].directions, 6
@@ -187,14 +192,15 @@ for k in range(1, steps + 1):
     print(f"k = {k}: exact {inside:.3f}, cover {cover:.3f}, {cover / inside:.2f} times as large")
 
 # %% [markdown]
-# **What to see.** The exact sets bend; the dashed covers fill every bay, and the next cover starts from the filled set.
-# The errors add up, step by step.
+# **What to see.** The exact sets are not convex. The dashed template sets fill every concave part, and the next step
+# starts from the filled set. The errors accumulate step by step.
 #
 # ### The attractor
 #
-# From the maximal safe set on, $\mathcal{R}_k(\mathcal{S})$ is a nested sequence: an RPI set and its images. After $k$
-# steps *everything* is in $\mathcal{R}_k$. `attractor` stops when no point of $\mathcal{R}_k$ is farther than $10^{-3}$
-# from $\mathcal{R}_{k+1}$, which says that one more step changes little, not that the limit is that near.
+# Starting from the maximal safe set $\mathcal{S}$, the sets $\mathcal{R}_k(\mathcal{S})$ are nested, because
+# $\mathcal{S}$ is RPI. After $k$ steps *every* trajectory is in $\mathcal{R}_k$. `attractor` stops when no point of
+# $\mathcal{R}_k$ has a distance of more than $10^{-3}$ from $\mathcal{R}_{k+1}$. This means that one more step changes
+# little. It does not mean that the limit is that close.
 
 # %% tags=["nbval-check-output"]
 attractors = {name: mr.attractor(case.loop, maximal[name]) for name, case in cases.items()}
@@ -216,13 +222,15 @@ for ax, (name, found) in zip(axes, attractors.items()):
 plt.show()
 
 # %% [markdown]
-# **What to see.** Everything in the maximal set, not only $\mathcal{F}_{\max}$, ends in the blue set. The dashed
-# terminal set, a polygon with eight sides, is larger: in case 1 by the bays that the jumps between the modes leave.
+# **What to see.** Every trajectory from the maximal set, not only from $\mathcal{F}_{\max}$, ends in the blue set. The
+# dashed terminal set, a polygon with eight sides, is larger. In case 1 it also contains the gaps that the jumps between
+# the modes leave.
 
 # %% [markdown]
 # ## 5 How much disturbance is too much?
 #
-# With a larger $\mathcal{D}$ the maximal set shrinks, until there is none. $\mathcal{F}_{\max}$ gives up much earlier:
+# With a larger $\mathcal{D}$ the maximal set shrinks, until there is none. $\mathcal{F}_{\max}$ disappears much
+# earlier:
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(8.2, 3.6), layout="constrained")
@@ -240,26 +248,26 @@ for ax, (name, case), last in zip(axes, cases.items(), (1.25, 0.8)):
 plt.show()
 
 # %% [markdown]
-# **What to see.** $\mathcal{F}_{\max}$ is gone soon, the maximal set lives on. In case 1 it hardly shrinks before it
-# ends at once: beyond the last bound the lost corner spreads, step by step, over all of $\mathcal{X}$.
-# `mr.largest_disturbance(loop)` finds the ends by bisection, to $10^{-4}$; near them the iteration takes hundreds of
-# steps, so that this takes a minute or two and stands here as a table:
+# **What to see.** $\mathcal{F}_{\max}$ soon disappears, while the maximal set still exists. In case 1 the maximal set
+# hardly shrinks before it disappears abruptly: beyond the last bound the lost corner spreads, step by step, over all of
+# $\mathcal{X}$. `mr.largest_disturbance(loop)` finds these bounds by bisection, to $10^{-4}$. Near them the iteration
+# takes hundreds of steps, so the computation takes a minute or two. The results are listed here:
 #
 # | largest bound on $|d|_\infty$ (the paper's) | $\mathcal{F}_{\max}$ | maximal set | and its area there |
 # | --- | --- | --- | --- |
 # | pwa (0.15) | 0.1940 | 1.2530 | 388.6 of 400 |
 # | double_integrator (0.1186) | 0.1779 | 0.8793 | 31.9 of 144 |
 #
-# For the maximal set existence is monotone: what is RPI for $\mathcal{D}$ is RPI for less. For $\mathcal{F}_{\max}$ it
-# need not be, since the sequence starts elsewhere and a template fits one image better than another; the
-# bisection finds a bound at which the answer changes.
+# The existence of the maximal set is monotone: a set that is RPI for $\mathcal{D}$ is RPI for every smaller disturbance
+# set. For $\mathcal{F}_{\max}$ this need not hold, since the sequence starts elsewhere and a template fits some images
+# better than others. There the bisection finds a bound at which the result changes.
 
 # %% tags=["nbval-check-output"]
 found = mr.largest_disturbance(loop, "template", C=cases["double_integrator"].safe_directions)
 print(f"double_integrator, F_max: yes at {found.bound:.4f}, no at {found.above:.4f}, {found.tried} loops tried")
 
 # %% [markdown]
-# ## 6 Is that luck? All networks of the seed study
+# ## 6 Is this a coincidence? All networks of the seed study
 
 # %%
 rows = {name: load_rows(data_file(name, "seeds.csv")) for name in cases}
@@ -276,27 +284,27 @@ for name, study in rows.items():
     print(f"ratios {min(ratios):.2f} to {max(ratios):.2f}")
 
 # %% [markdown]
-# **What to see.** Every one of the 300 networks has a maximal safe set, those included for which the paper's method
-# finds none. Within a case it hardly depends on the network (marks are spread vertically only to be seen): what is lost
-# is presumably lost to the limits of $u$, not to the training.
+# **What to see.** Every one of the 300 networks has a maximal safe set, including those for which the paper's method
+# finds none. Within a case the set hardly depends on the network (the marks are spread vertically only to make them
+# visible). Presumably the limits of $u$ cause the lost part, and not the training.
 
 # %% [markdown]
 # ## What you saw
 #
-# - Safety is a question about preimages. Forward images drop safe states that nothing reaches.
-# - Preimages of polygons under affine pieces are polygons, whatever the piece; no template is needed in the plane.
+# - Safety is a question about preimages. Forward images drop safe states that no state leads to.
+# - The preimage of a polygon under an affine piece is a polygon, for every piece. No template is needed for two states.
 # - A slack of $10^{-9}$ costs no area that matters, and makes a proof in fractions possible.
-# - Exact reachable sets show what each cover adds; the attractor is smaller than the terminal set,
-#   in case 1 by more than a third, in case 2 by a tenth.
-# - A verdict *none found* by $\mathcal{F}_{\max}$ does not say that the network is unsafe.
+# - Exact reachable sets show what each template step adds. The attractor is smaller than the terminal set, in case 1 by
+#   more than a third, in case 2 by a tenth.
+# - If no $\mathcal{F}_{\max}$ is found, this does not mean that the network is unsafe.
 #
 # ## On your own
 #
 # - Exercise 10: the lost part of a cell, the iteration, a trajectory that leaves late, and the largest disturbance.
 # - Take a network of the study without $\mathcal{F}_{\max}$. Draw its maximal set, and the $\mathcal{F}_k$ that fail.
 # - Replace $\mathcal{D}$ of case 2 by the error segment of notebook 07. How much larger is the maximal set?
-# - Take away from the maximal set a small disc around one of its states. Is what remains RPI? What does
-#   `prove_rpi` say, and what is the largest RPI set in it?
+# - Remove a small disc around one state from the maximal set. Is the rest RPI? What does `prove_rpi` say, and what is
+#   the largest RPI set in it?
 #
 # ## Further reading
 #

@@ -11,12 +11,12 @@
 # %% [markdown]
 # # Beyond the plane: three and four tanks, by the MILP alone
 #
-# **What you will do.** Find the safe set of a hybrid system with three states and follow its trajectories; look at why
-# the MILP that does it is quick; check the sets of a system with four states, and see what a certificate can
-# still say where no exact cells exist.
+# **What you will do.** Find the safe set of a hybrid system with three states, and simulate its trajectories. Find out
+# why the MILP is fast enough. Check the sets of a system with four states. See what a certificate can state where no
+# exact cells exist.
 #
-# **What you will learn.** What changes for $n > 2$, and what does not; how the template decides whether there is a safe
-# set; what *bound by a solver* means beside *proven*; what the price of exact $k$-step sets is.
+# **What you will learn.** What changes for $n > 2$, and what does not. How the template decides whether a safe set is
+# found. How *bound by a solver* differs from *proven*. What exact $k$-step sets cost.
 #
 # **What you need.** Notebooks 03, 04 and 06; 11 for your own system. "Run all" takes about a minute.
 
@@ -36,10 +36,11 @@ print(tanks)
 # %% [markdown]
 # ## 1 Three tanks with four modes
 #
-# Two pumps fill the outer tanks, a drain empties the middle one, and pipes join them: at the bottom, and at a height of
-# 30 cm, where water passes only if a tank stands higher. So there are four modes, by the signs of $x_1$ and $x_2$, the
-# deviations of the outer levels from 30 cm. At the levels to be kept all four modes meet, and a
-# disturbance of two millimetres decides which one acts. The network was trained on solutions of a mixed-integer MPC.
+# Two pumps fill the outer tanks, and a drain empties the middle one. Pipes connect the tanks at the bottom and at a
+# height of 30 cm. Water flows through an upper pipe only if the level of a tank is higher than that. Let $x_1$ and
+# $x_2$ be the deviations of the outer levels from 30 cm. Their signs determine the mode, so there are four modes. All
+# four meet at the setpoint, and a disturbance of two millimetres decides which one is active. The network was trained
+# on solutions of a mixed-integer MPC.
 
 # %%
 for number, mode in enumerate(tanks.system.modes, start=1):
@@ -50,9 +51,9 @@ print(f"|d| <= {tanks.disturbance_bound} cm; {tanks.network}")
 # %% [markdown]
 # ## 2 The safe set
 #
-# The calls are those of the plane; for $n > 2$ `mireach` takes the MILP of Lemma 2 by itself. The template is the
-# box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: what the three tanks hold together leaves more slowly
-# than any single level changes.
+# The calls are the same as for two states. For $n > 2$ `mireach` selects the MILP of Lemma 2 by itself. The template is
+# the box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: the amount of water in all three tanks together changes more
+# slowly than any single level.
 
 # %%
 begin = perf_counter()
@@ -65,11 +66,11 @@ for row, before, after in zip(safe.set.H[:8], tanks.system.state_set.support(saf
     print(f"{np.round(row, 2)} x <= {after:5.2f}   (X: {before:5.2f})")
 
 # %% [markdown]
-# Why not all of $\mathcal{X}$? Where the outer tanks stand 10 cm too high, water pours into the middle one whatever the
-# pumps do, and lifts it over its limit. $\mathcal{F}_{\max}$ gives these states up.
+# Why is the safe set smaller than $\mathcal{X}$? If the outer levels are 10 cm too high, water flows into the middle
+# tank for every input, and raises its level above the limit. $\mathcal{F}_{\max}$ excludes these states.
 #
-# The terminal set takes a while longer and comes with the package, in the case's certificate. `check_rpi` proves it
-# anew: it asks only whether each facet holds, which is quicker than to ask for its support function.
+# The terminal set takes longer to compute. It is shipped with the package, in the certificate of the case. `check_rpi`
+# proves it again. It only checks whether each facet holds, which is faster than computing the support function of each.
 
 # %% tags=["nbval-check-output"]
 sequence = load_sets("three_tanks")
@@ -87,7 +88,7 @@ path = tanks.loop.simulate(starts, steps, tanks.disturbance_bound * rng.choice([
 
 
 def project(P, axes):
-    """The shadow of a bounded polytope in two of its coordinates."""
+    """The projection of a bounded polytope onto two of its coordinates."""
     return mr.Polytope.from_points(P.vertices()[:, axes])
 
 
@@ -104,28 +105,29 @@ plotting.legend_above(panels[0], 4)
 plt.show()
 
 # %% [markdown]
-# Shadows of three-dimensional sets: a trajectory may cross the shadow of $\overline{\mathcal{R}}_{\min}$ long before it
-# is in the set. From step 37 on it is, and stays.
+# The figures show projections of three-dimensional sets. A trajectory may enter the projection of
+# $\overline{\mathcal{R}}_{\min}$ long before it enters the set itself. From step 37 on it is in the set, and stays
+# there.
 
 # %% tags=["nbval-check-output"]
 print(f"stay in F_max: {safe.set.contains(path, tol=1e-6).all(axis=1).sum()} of 60")
 print(f"in the terminal set from step 37 on: {sequence[-1].contains(path[:, 37:], tol=1e-6).all(axis=1).sum()} of 60")
 
 # %% [markdown]
-# ## 3 What makes the MILP quick
+# ## 3 What makes the MILP fast
 #
-# Lemma 2 as it is printed has a binary for every channel and every mode, and one big-M by interval arithmetic.
-# `formulation="paper"` is that. "whole" is one model, too, with a big-M of its own for each row, from LPs, and
-# without channels that never win and modes that are never met. "split", the default, halves the state space
-# until few binaries are left: bounds of the loop that are affine in $x$ settle most boxes without any solver.
-# The three have to agree, and do, to what a MILP solver resolves.
+# Lemma 2 as printed in the paper has a binary for every channel and every mode, and one big-M by interval arithmetic.
+# This is `mr.Milp("paper")`. "whole" is also a single model. It has a separate big-M for each row, computed by LPs.
+# It omits channels that are never the largest and modes that are never active. "split", the default, halves the state
+# space until few binaries are left. Bounds of the loop that are affine in $x$ settle most boxes without any solver. The
+# three formulations must agree, and they do, to within the accuracy of a MILP solver.
 
 # %%
 V, F = tanks.directions[:2], safe.set
 bounds = {}
 for formulation in ("paper", "whole", "split"):
     begin = perf_counter()
-    bounds[formulation] = mr.support(tanks.loop, F, V, formulation=formulation).bound
+    bounds[formulation] = mr.support(tanks.loop, F, V, engine=mr.Milp(formulation)).bound
     print(f"{formulation:6s} {perf_counter() - begin:6.2f} s")
 
 # %% tags=["nbval-check-output"]
@@ -135,8 +137,8 @@ print(f"agree to 1e-6: {all(np.abs(bound - bounds['split']).max() < 1e-6 for bou
 # %% [markdown]
 # ## 4 Four tanks
 #
-# The quadruple-tank process has four states, two inputs and one mode; both pumps feed a lower tank and the upper tank
-# across. Its sequence is long, for the slowest eigenvalue of the closed loop is about 0.93.
+# The quadruple-tank process has four states, two inputs and one mode. Each pump feeds one lower tank and the upper tank
+# on the opposite side. Its sequence is long, because the slowest eigenvalue of the closed loop is about 0.93.
 
 # %% tags=["nbval-check-output"]
 four = mr.case_study("four_tanks")
@@ -157,12 +159,13 @@ ax.legend(title="along")
 plt.show()
 
 # %% [markdown]
-# After a dozen steps all four shrink at one rate, that of the slowest mode of motion. (1e-4 is added, to show the end.)
+# After a dozen steps all four shrink at the same rate, that of the slowest eigenvalue. (1e-4 is added so that the end
+# is visible.)
 #
 # ## 5 A certificate without cells
 #
-# Exact cells are a matter of the plane. A certificate of a larger system carries the bounds of the solver, and the
-# checker compares them with the sets, exactly; but it cannot derive them again, and says so. It never says *proven*.
+# Exact cells exist for two states only. A certificate of a larger system contains the bounds of the solver. The checker
+# compares them exactly with the sets, but it cannot derive them again, and it reports this. It never reports *proven*.
 
 # %% tags=["nbval-check-output"]
 print(mr.certificate.verify(data_file("four_tanks", "certificate.json")))
@@ -170,8 +173,9 @@ print(mr.certificate.verify(data_file("four_tanks", "certificate.json")))
 # %% [markdown]
 # ## 6 The price of exact steps
 #
-# $\mathcal{R}_k$ without a template in between has $k$ times the binaries (Lemma 2). With one mode the time hardly
-# grows: near the origin the network is one affine piece. With four modes that meet there, it explodes.
+# $\mathcal{R}_k$ without a template between the steps needs $k$ times the binaries (Lemma 2). With one mode the time
+# hardly grows, because the network is a single affine piece near the origin. With four modes that meet there, it grows
+# very quickly.
 
 # %%
 print("k     three tanks      four tanks")
@@ -179,29 +183,29 @@ for k in (1, 2, 3):
     seconds = []
     for case, R in ((tanks, sequence[-1]), (four, sets[-1])):
         begin = perf_counter()
-        mr.support(case.loop, R, np.eye(case.system.state_size)[:1], steps=k, formulation="whole")
+        mr.support(case.loop, R, np.eye(case.system.state_size)[:1], steps=k, engine=mr.Milp("whole"))
         seconds.append(perf_counter() - begin)
     print(f"{k} {seconds[0]:12.2f} s {seconds[1]:12.2f} s")
 
 # %% [markdown]
 # ## What you saw
 #
-# - For $n > 2$ the same calls give the same guarantees, up to the 1e-6 that a MILP solver resolves.
-# - A row in the template that knows the physics, here the water in all tanks, is worth more than many that do not.
-# - What decides the time is how many binaries the bounds leave open, not how many the formulation has.
-# - A certificate tells bounds of a solver from proofs.
+# - For $n > 2$ the same calls give the same guarantees, up to the accuracy of 1e-6 of a MILP solver.
+# - One template row that uses the physics, here the amount of water in all tanks, is worth more than many that do not.
+# - The time depends on how many binaries the bounds leave undecided, not on how many the formulation has.
+# - A certificate distinguishes bounds of a solver from proofs.
 #
 # ## On your own
 #
 # - Take the box alone as template, `mr.box_directions(3)`. How many iterations, and how large is the terminal set?
-# - Replace (1, 1, 2) by (1, 1, 1), which weighs the tanks equally. What does the drain have to do with it?
-# - How much disturbance do the three tanks stand? `tanks.loop.with_disturbance(...)` and bisection.
-# - Forge the bounds in the certificate of the four tanks, digest included. What can the checker notice, what not?
+# - Replace (1, 1, 2) by (1, 1, 1), which weights the tanks equally. Why does the drain matter here?
+# - What is the largest tolerated disturbance of the three tanks? Use `tanks.loop.with_disturbance(...)` and bisection.
+# - Forge the bounds in the certificate of the four tanks, digest included. What can the checker detect, and what not?
 #
 # ## Further reading
 #
 # - Johansson, *The quadruple-tank process*, IEEE Transactions on Control Systems Technology 8(3), 2000.
 # - Bemporad, Morari, *Control of systems integrating logic, dynamics, and constraints*, Automatica 35, 1999.
-# - `mireach.systems.plants` says what of the two systems is taken from where, and what is our choice.
+# - `mireach.systems.plants` states which data of the two systems come from the literature, and which are our choice.
 #
-# This is the last notebook. To go back to the paper's claims, run `python3 run.py reproduce`.
+# This is the last notebook. To return to the paper's claims, run `python3 run.py reproduce`.

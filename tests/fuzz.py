@@ -8,7 +8,7 @@ import numpy as np
 from loops import disturbance, enclosing_inputs, exact_highest, random_images, random_loop, replays
 
 import mireach as mr
-from mireach import Polytope, SolverError, SolverStopped, box_directions, directions, support
+from mireach import Cells, Exact, Milp, Polytope, SolverError, SolverStopped, box_directions, directions, support
 
 CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1
 RESOLVED = 1e-6  # what bounds of the MILP may lie above it
@@ -208,12 +208,12 @@ def wrong_verdicts(seed, time_limit=0.5):
     for number, F in enumerate(hard_sets(loop, rng)):
         truth, where = exact_highest(loop, F, V), f"seed {seed}, set {number}"
         asked["supports in fractions"] += sum(value is not None for value in truth)
-        engines = [("cells", {}), ("exact", {})] if n == 2 else []
-        engines += [("milp", options | {"time_limit": time_limit})] if number in chosen else []
-        for engine, given in engines:
-            asked[f"bounds by {engine}"] += len(V)
+        engines = [Cells(), Exact()] if n == 2 else []
+        engines += [Milp(**options, time_limit=time_limit)] if number in chosen else []
+        for engine in engines:
+            asked[f"bounds by {engine.name}"] += len(V)
             try:
-                bound = support(loop, F, V, engine=engine, **given).bound
+                bound = support(loop, F, V, engine=engine).bound
             except SolverStopped as stop:
                 bound = stop.support.bound
                 asked["stopped by the time limit"] += 1
@@ -226,7 +226,7 @@ def wrong_verdicts(seed, time_limit=0.5):
                     if np.isfinite(bound[k])
                     else bound[k] < 0 and value is not None
                 ):
-                    found.append(f"{where}, {engine} {given}: {bound[k]!r} < {float(value)!r} along {k}")
+                    found.append(f"{where}, {engine}: {bound[k]!r} < {float(value)!r} along {k}")
         if number in chosen or n == 2:
             found += [f"{where}: {text}" for text in _wrong_check(loop, F, size, asked, time_limit)]
     return found, asked
@@ -236,9 +236,9 @@ def _wrong_check(loop, F, size, asked, time_limit):
     """What is wrong with `check_rpi` of F, and whether its "proven" and "refuted" are right."""
     if F.is_empty:
         return []
-    given = {} if loop.system.state_size == 2 else {"time_limit": time_limit}
+    engine = Cells() if loop.system.state_size == 2 else Milp(time_limit=time_limit)
     try:
-        check = mr.check_rpi(loop, F, **given)
+        check = mr.check_rpi(loop, F, engine)
     except SolverError:
         asked["without an answer"] += 1
         return []

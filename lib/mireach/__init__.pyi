@@ -1,20 +1,24 @@
 """The public names: what each module provides. They are imported on first use."""
 
 from . import approximation, certificate, errors
-from .analysis.disturbance import largest_disturbance
-from .analysis.exact_reach import attractor, exact_reach
-from .analysis.invariance import (
-    check_rpi,
-    contraction,
-    safe_set,
-    scaled_minimal_set,
-    terminal_set,
-    ultimately_bounded,
-)
-from .analysis.maximal_set import maximal_safe_set, prove_rpi
+from .analysis.boundedness import UltimateBound, ultimately_bounded
+from .analysis.contraction import contraction
+from .analysis.disturbance import LargestDisturbance, largest_disturbance
+from .analysis.exact_reach import Attractor, attractor, exact_reach
+from .analysis.maximal_set import MaximalSafeSet, RegionCheck, maximal_safe_set, prove_rpi
+from .analysis.minimal_set import MinimalSet, scaled_minimal_set
 from .analysis.reach import outer_reach, outer_step, support
+from .analysis.rpi import RPICheck, check_rpi
+from .analysis.safe_set import SafeSet, safe_set
+from .analysis.terminal_set import TerminalSet, terminal_set
 from .approximation.fit import fit_pwa, prove_error
+from .engines.base import Engine, Escape, Support, Witness
+from .engines.cells import Cells
+from .engines.cvxpy_model import Cvxpy
+from .engines.exact import Exact
+from .engines.milp.engine import Milp
 from .errors import CorruptFileError, MireachError, MissingExtraError, SolverError, SolverStopped
+from .results import Verdict
 from .sets.polytope import Polytope
 from .sets.region import Region
 from .sets.templates import box_directions, directions
@@ -25,19 +29,37 @@ from .systems.network import Layer, MaxoutNetwork
 from .systems.pwa import Mode, NonlinearSystem, PWASystem
 
 __all__ = [
+    "Attractor",
+    "Cells",
     "ClosedLoop",
     "CorruptFileError",
+    "Cvxpy",
+    "Engine",
+    "Escape",
+    "Exact",
+    "LargestDisturbance",
     "Layer",
+    "MaximalSafeSet",
     "MaxoutNetwork",
+    "Milp",
+    "MinimalSet",
     "MireachError",
     "MissingExtraError",
     "Mode",
     "NonlinearSystem",
     "PWASystem",
     "Polytope",
+    "RPICheck",
     "Region",
+    "RegionCheck",
+    "SafeSet",
     "SolverError",
     "SolverStopped",
+    "Support",
+    "TerminalSet",
+    "UltimateBound",
+    "Verdict",
+    "Witness",
     "approximation",
     "attractor",
     "box_directions",

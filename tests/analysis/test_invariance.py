@@ -8,15 +8,22 @@ import pytest
 from loops import affine_loop, assert_replays, brute_support, jump_loop, largest, random_loop, random_successors
 
 import mireach as mr
-from mireach import ClosedLoop, NonlinearSystem, Polytope, PWASystem, box_directions, directions
-from mireach.analysis.invariance import (
-    _growth,
+from mireach import (
+    ClosedLoop,
+    Exact,
+    Milp,
+    NonlinearSystem,
+    Polytope,
+    PWASystem,
+    box_directions,
     check_rpi,
+    directions,
     safe_set,
     scaled_minimal_set,
     terminal_set,
     ultimately_bounded,
 )
+from mireach.analysis.contraction import growth
 from mireach.engines.base import SOLVER, Support
 
 BOX = box_directions(2)
@@ -93,7 +100,7 @@ def answering(monkeypatch, bound, value, resolution=0.0):
         k = len(V)
         return Support(np.full(k, value), np.full(k, bound), (None,) * k, resolution=np.full(k, resolution))
 
-    monkeypatch.setattr("mireach.analysis.settle.support", support)
+    monkeypatch.setattr("mireach.analysis.comparison.support", support)
 
 
 @pytest.mark.parametrize(
@@ -124,10 +131,10 @@ def test_a_wrong_word_of_a_solver_proves_no_safe_set(monkeypatch):
     loop = contraction(w=0.05, p=(0.5, 0.0))
 
     def lying(*args, engine, **_):
-        found = mr.support(*args, engine="exact" if engine == "exact" else "cells")
-        return found if engine == "exact" else replace(found, bound=found.bound - 0.3, rests_on=SOLVER)
+        found = mr.support(*args, engine=engine if engine == Exact() else "cells")
+        return found if engine == Exact() else replace(found, bound=found.bound - 0.3, rests_on=SOLVER)
 
-    monkeypatch.setattr("mireach.analysis.settle.support", lying)
+    monkeypatch.setattr("mireach.analysis.comparison.support", lying)
     found = safe_set(loop, BOX, "cvxpy", max_iterations=5)
     assert found.verdict == "unknown" and found.set is None and SOLVER in found.reason
 
@@ -143,22 +150,22 @@ def test_exact_arithmetic_overrules_a_loose_bound_in_the_plane(monkeypatch):
     loop, F = contraction(), Polytope.box([-0.5, -0.5], [0.5, 0.5])  # its image has the half-width 0.35
     found = mr.support(loop, F, BOX)
     monkeypatch.setattr(
-        "mireach.analysis.settle.support",
+        "mireach.analysis.comparison.support",
         lambda *args, engine, **_: (
-            mr.support(*args, engine=engine) if engine == "exact" else replace(found, bound=found.bound + 1)
+            mr.support(*args, engine=engine) if engine == Exact() else replace(found, bound=found.bound + 1)
         ),
     )
     check = check_rpi(loop, F)
     assert check.verdict == "proven" and check.settled == "exact arithmetic" and (check.margin > 0.14).all()
 
 
-@pytest.mark.parametrize("engine_options", [{"formulation": "whole", "bounds": "interval", "time_limit": 1e-4}])
-def test_stopped_solver_proves_nothing(engine_options):
+def test_stopped_solver_proves_nothing():
+    engine = Milp(formulation="whole", bounds="interval", time_limit=1e-4)
     loop = random_loop(1, 3, cuts=3, with_input=True, layers=3, width=5, pool=4, gain=0.8)
     X = loop.system.state_set
-    check = check_rpi(loop, X.scale(0.99), "milp", **engine_options)
+    check = check_rpi(loop, X.scale(0.99), engine)
     assert check.verdict == "refuted" or (check.verdict == "unknown" and "time_limit" in check.reason)
-    safe = safe_set(loop, engine="milp", **engine_options)
+    safe = safe_set(loop, engine=engine)
     assert safe.verdict == "unknown" and safe.set is None and "time_limit" in safe.reason
 
 
@@ -181,7 +188,7 @@ def test_a_safe_set_is_bounded_by_bounds_whatever_is_attained(monkeypatch):
         found = mr.support(*args, **options)
         return replace(found, value=found.value - 0.1)
 
-    monkeypatch.setattr("mireach.analysis.settle.support", support)
+    monkeypatch.setattr("mireach.analysis.comparison.support", support)
     safe = safe_set(affine_loop([[0.5, 0.9], [0, 0.5]]), BOX)
     assert safe.verdict == "proven" and len(safe.history) == 2
     assert (safe.set.h >= [1, 0.5, 1, 0.5]).all() and (safe.set.h <= np.array([1, 0.5, 1, 0.5]) + 1e-9).all()
@@ -298,7 +305,7 @@ def test_no_rounding_makes_a_set_grow_into_itself():
     for _ in range(200):
         angles = np.array([0, 2, 4]) + rng.uniform(0, 0.5, 3)
         R = Polytope(np.column_stack([np.cos(angles), np.sin(angles)]), rng.uniform(0.5, 2, 3))
-        assert _growth(R.H, R.bound(R.H), R.h, np.zeros(2)) == 1
+        assert growth(R.H, R.bound(R.H), R.h, np.zeros(2)) == 1
 
 
 def test_terminal_sets_of_random_loops_are_invariant_reached_and_near_the_limit():
@@ -357,7 +364,7 @@ def test_alpha_is_rounded_down():
         h, before, c = rng.uniform(0.5, 2, 4), rng.uniform(0.5, 2, 4), rng.uniform(-0.4, 0.4, 2)
         middle = [Fraction(s * e) for s, e in zip((1, 1, -1, -1), (*c.tolist(), *c.tolist()))]
         rooms = [(Fraction(b) - m, Fraction(o) - m) for b, o, m in zip(before.tolist(), h.tolist(), middle)]
-        exactly, alpha = min(room / size for room, size in rooms), _growth(BOX, h, before, c)
+        exactly, alpha = min(room / size for room, size in rooms), growth(BOX, h, before, c)
         assert Fraction(alpha) <= exactly < Fraction(np.nextafter(alpha, np.inf))
 
 
@@ -372,7 +379,7 @@ def test_alpha_is_the_smallest_of_ratios_that_floats_cannot_tell_apart(distance)
         for v, b, o in zip(V.tolist(), before.tolist(), h.tolist()):
             middle = sum(Fraction(a) * Fraction(y) for a, y in zip(v, c.tolist()))
             ratios.append((Fraction(b) - middle) / (Fraction(o) - middle))
-        alpha = _growth(V, h, before, c)
+        alpha = growth(V, h, before, c)
         assert Fraction(alpha) <= min(ratios) < Fraction(np.nextafter(alpha, np.inf))
 
 

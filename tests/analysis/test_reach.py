@@ -1,14 +1,14 @@
 """Outer steps and outer sequences: they enclose what is reached, and are the smallest of their shape."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from loops import affine_loop, jump_loop, random_images, random_loop
 
 import mireach as mr
-from mireach import Polytope, box_directions, directions
+from mireach import Cells, Engine, Milp, Polytope, box_directions, directions
 from mireach.analysis.reach import outer_reach, outer_step, support
-from mireach.engines import cells
-from mireach.engines.milp import engine as milp
 
 UNIT = Polytope.box([-1, -1], [1, 1])
 
@@ -53,14 +53,53 @@ def test_engines_answer_by_name(engine):
 def test_default_engine_is_the_cells_in_the_plane_and_the_milp_elsewhere(monkeypatch):
     asked = []
 
-    def asking(name, answer):
-        return lambda *args: asked.append(name) or answer(*args)
+    def asking(kind):
+        answer = kind.support
+        return lambda self, *args, **more: asked.append(self.name) or answer(self, *args, **more)
 
-    for name, engine in (("cells", cells), ("milp", milp)):
-        monkeypatch.setattr(engine, "support", asking(name, engine.support))
+    for kind in (Cells, Milp):
+        monkeypatch.setattr(kind, "support", asking(kind))
     support(random_loop(0), UNIT, directions(4))
     support(random_loop(0, 3), Polytope.box(-np.ones(3), np.ones(3)), np.eye(3))
     assert asked == ["cells", "milp"]
+
+
+def test_an_engine_of_ones_own_is_asked_in_the_units_of_the_loop():
+    """The bounds of a box around sampled images, widened: in kilometres as in micrometres."""
+
+    @dataclass(frozen=True)
+    class Sampling(Engine):
+        name = "sampling"
+        wider: float = 0.1
+
+        def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None):
+            images = random_images(loop, F, np.random.default_rng(0), 200) @ V.T
+            nothing = np.full(len(V), -np.inf)
+            return mr.Support(nothing, images.max(axis=0) + self.wider, (None,) * len(V))
+
+    loop = mr.case_study("pwa").loop
+    F = loop.system.state_set.scale(0.2)
+    found, cells = (support(loop, F, directions(8), engine=engine) for engine in (Sampling(), Cells()))
+    assert (found.bound >= cells.bound).all() and (found.bound <= cells.bound + 2.0).all()
+    inner, outer = (mr.outer_step(loop, F, directions(8), engine) for engine in (Cells(), Sampling(0.3)))
+    assert inner.is_subset(outer)
+
+
+def test_a_warm_start_that_answers_another_question_is_refused():
+    loop, V = mr.case_study("pwa").loop, directions(8)
+    F = loop.system.state_set
+    found = support(loop, F, V)
+    half = F.scale(0.5)
+    np.testing.assert_array_equal(support(loop, half, V, warm_start=found).bound, support(loop, half, V).bound)
+    for ask in (
+        lambda: support(random_loop(0), UNIT, V, warm_start=found),
+        lambda: support(loop, F, V[:4], warm_start=found),
+        lambda: support(loop, F, V, 2, warm_start=found),
+        lambda: support(loop, F.scale(2), V, warm_start=found),
+        lambda: support(loop, F, V, warm_start=found.source),
+    ):
+        with pytest.raises(ValueError, match="warm_start answers another question"):
+            ask()
 
 
 def test_no_steps_give_the_set_itself():
@@ -77,6 +116,7 @@ def test_no_steps_give_the_set_itself():
         (lambda loop: outer_step(loop, UNIT, np.eye(3)), ["C has shape (3, 3)", "2"]),
         (lambda loop: outer_step(loop, Polytope.box([8, 8], [9, 9]), np.eye(2)), ["F does not meet the state set"]),
         (lambda loop: outer_step(loop, UNIT, [[np.nan, 0]]), ["C must be finite"]),
+        (lambda loop: support(loop, UNIT, directions(5), cutoff=[1.0]), ["cutoff has shape (1,)", "5 rows"]),
     ],
 )
 def test_bad_arguments_are_named(ask, words):
@@ -95,20 +135,21 @@ def test_every_engine_refuses_a_network_that_leaves_the_input_set_in_a_corner():
             mr.support(loop, system.state_set, np.eye(2), engine=engine)
 
 
-def test_wrong_options_and_kinds_are_value_errors():
+def test_wrong_settings_and_kinds_are_named():
     loop, F = mr.case_study("pwa").loop, mr.Polytope.box([-1, -1], [1, 1])
-    for wrong in (
-        lambda: mr.support(loop, F, np.eye(2), engine="cells", time_limit=1),
-        lambda: mr.support(loop, F, np.eye(2), engine=["milp"]),
-        lambda: mr.support(loop, F, np.eye(2), engine="milp", time_limit=-1),
-        lambda: mr.support(loop, F, np.eye(2), engine="milp", gap=np.nan),
-        lambda: mr.support(loop, None, np.eye(2)),
-        lambda: mr.support(loop.system, F, np.eye(2)),
-        lambda: mr.support(loop, F, np.eye(2), np.inf),
-        lambda: mr.outer_reach(loop, F, np.eye(2), -1),
-        lambda: loop.simulate([0, 0], 3, disturbances=0),
-        lambda: loop.simulate([0, 0], -1),
+    for kind, wrong in (
+        (TypeError, lambda: mr.support(loop, F, np.eye(2), engine="cells", time_limit=1)),
+        (TypeError, lambda: mr.safe_set(loop, max_iteration=3)),
+        (TypeError, lambda: mr.support(loop, F, np.eye(2), engine=["milp"])),
+        (ValueError, lambda: mr.Milp(time_limit=-1)),
+        (ValueError, lambda: mr.Milp(gap=np.nan)),
+        (TypeError, lambda: mr.support(loop, None, np.eye(2))),
+        (TypeError, lambda: mr.support(loop.system, F, np.eye(2))),
+        (TypeError, lambda: mr.support(loop, F, np.eye(2), warm_start=[1.0, 2.0])),
+        (ValueError, lambda: mr.support(loop, F, np.eye(2), np.inf)),
+        (ValueError, lambda: mr.outer_reach(loop, F, np.eye(2), -1)),
+        (ValueError, lambda: loop.simulate([0, 0], -1)),
     ):
-        with pytest.raises(ValueError):
+        with pytest.raises(kind):
             wrong()
     assert mr.support(loop, F, np.eye(2), 2.0).bound.shape == (2,)

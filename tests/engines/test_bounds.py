@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from loops import random_loop, random_network
 
-from mireach import Polytope, directions, safe_set
-from mireach.engines import exact
+from mireach import Polytope, Support, directions, safe_set
 from mireach.engines.bounds import upper_bound
-from mireach.engines.milp import engine as milp
+from mireach.engines.exact import Exact
 from mireach.engines.milp.boxes import Boxes, bound_loop
+from mireach.engines.milp.engine import Milp
 from mireach.engines.milp.formulation import add_network
 from mireach.solvers.linear_program import LinearProgram
 
@@ -118,7 +118,7 @@ def test_formulations_agree_with_the_exact_cells(options):
     for seed in range(3):
         loop = random_loop(seed, m=1 + seed % 2, cuts=3, with_input=seed % 2 == 0, width=3, pool=3)
         for F in (loop.system.state_set, Polytope.box([0.2, -0.4], [0.2, 0.7]), Polytope.box([0.1, 0.1], [0.1, 0.1])):
-            truth, found = exact.support(loop, F, V).value, milp.support(loop, F, V, **options)
+            truth, found = Exact().support(loop, F, V).value, Milp(**options).support(loop, F, V)
             assert (found.bound >= truth).all() and (found.bound <= truth + 1e-6 * (1 + np.abs(truth))).all()
             np.testing.assert_allclose(found.value, truth, atol=1e-6)
 
@@ -129,16 +129,16 @@ def test_formulations_agree_with_the_exact_cells(options):
 def test_threads_change_no_number(seed, formulation, n):
     loop = random_loop(seed, n=n, cuts=3, with_input=True, width=4, pool=3)
     X, V = loop.system.state_set, np.random.default_rng(seed).normal(size=(8, n))
-    one, two = (milp.support(loop, X, V, jobs=jobs, formulation=formulation) for jobs in (1, 3))
+    one, two = (Milp(jobs=jobs, formulation=formulation).support(loop, X, V) for jobs in (1, 3))
     assert (one.bound == two.bound).all() and (one.value == two.value).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_cutoff_proves_what_is_below_and_nothing_else(seed):
     rng, loop, V = np.random.default_rng(seed), random_loop(seed, cuts=3, width=4, pool=3), directions(8)
-    truth = exact.support(loop, loop.system.state_set, V).value
+    truth = Exact().support(loop, loop.system.state_set, V).value
     cutoff = truth + rng.choice([-0.5, -1e-5, 1e-5, 0.5, 5.0], 8)
-    found = milp.support(loop, loop.system.state_set, V, cutoff=cutoff)
+    found = Milp().support(loop, loop.system.state_set, V, cutoff=cutoff)
     assert (found.bound >= truth).all()
     assert ((found.bound <= cutoff) == (truth <= cutoff)).all()
 
@@ -147,14 +147,12 @@ def test_cutoff_proves_what_is_below_and_nothing_else(seed):
     ("options", "words"),
     [
         ({"formulation": "plain"}, ["formulation must be one of", "'plain'"]),
-        ({"cutoff": [1.0]}, ["cutoff has shape (1,)", "5 rows"]),
         ({"jobs": 0}, ["jobs", "at least 1"]),
     ],
 )
 def test_bad_options_are_named(options, words):
-    loop = random_loop(0)
     with pytest.raises(ValueError) as error:
-        milp.support(loop, loop.system.state_set, directions(5), **options)
+        Milp(**options)
     assert all(word in str(error.value) for word in words), str(error.value)
 
 
@@ -163,18 +161,14 @@ def test_bounds_that_hold_already_are_kept_and_nothing_is_lost(formulation):
     for seed in range(4):
         loop = random_loop(seed)
         X, V = loop.system.state_set, directions(6)
-        whole = milp.support(loop, X, V)
+        whole = Milp().support(loop, X, V)
         for F in (X, X.scale(0.6)):
-            fresh = milp.support(loop, F, V, formulation=formulation)
-            for known in (whole.bound, whole):
-                told = milp.support(loop, F, V, formulation=formulation, known=known)
-                assert (told.bound <= whole.bound).all()
-                np.testing.assert_allclose(told.bound, fresh.bound, atol=1e-6)
-                assert (told.bound >= exact.support(loop, F, V).value - 1e-9).all()
-    with pytest.raises(ValueError, match=r"known has shape \(2,\), but V has 6 rows"):
-        milp.support(loop, X, V, known=[1.0, 2.0])
-    with pytest.raises(ValueError, match="known is an answer for another number of steps than 2"):
-        milp.support(loop, X, V, steps=2, known=whole)
+            fresh = Milp(formulation=formulation).support(loop, F, V)
+            for known in (Support(whole.value, whole.bound, whole.witness), whole):
+                warm = Milp(formulation=formulation).support(loop, F, V, warm_start=known)
+                assert (warm.bound <= whole.bound).all()
+                np.testing.assert_allclose(warm.bound, fresh.bound, atol=1e-6)
+                assert (warm.bound >= Exact().support(loop, F, V).value - 1e-9).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -183,12 +177,12 @@ def test_boxes_of_larger_sets_hold_all_that_starts_in_smaller_ones(seed):
     rng, loop, V = np.random.default_rng(seed), random_loop(seed, cuts=3, with_input=seed % 2 == 0), directions(6)
     F, known = loop.system.state_set, None
     for _ in range(5):
-        known = milp.support(loop, F, V, known=known)
-        truth = exact.support(loop, F, V).value
+        known = Milp().support(loop, F, V, warm_start=known)
+        truth = Exact().support(loop, F, V).value
         assert (known.bound >= truth).all() and (known.bound <= truth + 1e-6).all()
         for x in F.sample(rng, 40):
             held = ((known.boxes.lower <= x) & (x <= known.boxes.upper)).all(axis=1)
-            reached = exact.support(loop, Polytope.box(x, x), V).value
+            reached = Exact().support(loop, Polytope.box(x, x), V).value
             assert held.any() and (known.upper[held].max(axis=0) >= reached).all()
         F = F & Polytope(rng.normal(size=(2, 2)), rng.uniform(0.3, 1.0, 2))
 

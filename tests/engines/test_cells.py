@@ -28,8 +28,8 @@ from mireach import (
     exact_reach,
     safe_set,
 )
-from mireach.engines import exact
-from mireach.engines.cells import CORNER, cells, support
+from mireach.engines.cells import CORNER, Cells, cells
+from mireach.engines.exact import Exact
 from mireach.systems.plants import chessboard
 
 V = np.vstack([directions(5), [[-5, 1]]])
@@ -62,7 +62,7 @@ def check(loop, F, found, expected, V=V, exact=1e-7):
 def test_one_step_is_the_best_of_all_modes_and_channels(seed, kind):
     loop = random_loop(seed, **kind)
     for F in list(SETS.values())[seed % 2 :: 2]:
-        check(loop, F, support(loop, F, V), brute_support(loop, F, V))
+        check(loop, F, Cells().support(loop, F, V), brute_support(loop, F, V))
 
 
 @pytest.mark.parametrize(("seed", "steps"), [(0, 2), (1, 2), (2, 2), (3, 2), (4, 3), (5, 3)])
@@ -70,7 +70,7 @@ def test_several_steps_are_the_best_of_all_sequences(seed, steps):
     loop = random_loop(seed, cuts=1, layers=1, width=1 + (steps == 2), with_input=seed % 2 == 1)
     for F in (SETS["X"], SETS["segment"], SETS["point"]):
         expected = brute_support(loop, F, V[:5], steps)
-        found = support(loop, F, V[:5], steps)
+        found = Cells().support(loop, F, V[:5], steps)
         if np.isfinite(expected).all():
             check(loop, F, found, expected, V[:5])
         else:
@@ -84,7 +84,7 @@ def test_no_sampled_trajectory_passes_the_bound(seed, steps):
     rng = np.random.default_rng(seed)
     for F in (SETS["X"] & loop.system.state_set, SETS["triangle"]):
         images = random_images(loop, F, rng, 300, steps)
-        found = support(loop, F, V, steps)
+        found = Cells().support(loop, F, V, steps)
         assert len(images) == 0 or ((images @ V.T).max(axis=0) <= found.bound).all()
 
 
@@ -93,7 +93,7 @@ def test_several_steps_of_a_case_study_agree_with_the_union_of_what_is_reached(n
     case = case_study(name)
     F = safe_set(case.loop, case.safe_directions).set
     region = exact_reach(case.loop, F, steps)[-1]  # found by GEOS, which merges what overlaps
-    found = support(case.loop, F, case.directions, steps)
+    found = Cells().support(case.loop, F, case.directions, steps)
     np.testing.assert_allclose(found.value, (region.pieces.points @ case.directions.T).max(axis=0), atol=1e-7)
     assert (found.bound >= found.value).all() and (found.bound <= found.value + 1e-9).all()
 
@@ -107,7 +107,7 @@ def test_multi_step_equals_steps_of_one_for_an_affine_loop():
         expected += D.support(V @ power)
         power = power @ A
     expected += F.support(V @ power)
-    np.testing.assert_allclose(support(loop, F, V, 3).value, expected, atol=1e-9)
+    np.testing.assert_allclose(Cells().support(loop, F, V, 3).value, expected, atol=1e-9)
 
 
 # -- where the map jumps ------------------------------------------------------------------------------
@@ -126,7 +126,7 @@ def test_multi_step_equals_steps_of_one_for_an_affine_loop():
 )
 def test_both_values_count_on_a_shared_boundary(F):
     loop = jump_loop([2.0, -1.0], [-3.0, 1.5])
-    found = support(loop, F, directions(4))
+    found = Cells().support(loop, F, directions(4))
     np.testing.assert_allclose(found.value, [2, 1.5, 3, 1], atol=1e-12)
     assert [int(witness.modes[0]) for witness in found.witness] == [0, 1, 1, 0]
     for v, value, witness in zip(directions(4), found.value, found.witness):
@@ -143,13 +143,13 @@ def test_a_mode_counts_that_acts_on_a_line_or_a_point_only(n):
     system = PWASystem(modes, Polytope.box([-1, -1], [1, 1]), Polytope.box([-1], [1]))
     loop = ClosedLoop(system, MaxoutNetwork((), np.zeros((1, 2)), [0.0]))
     for F, reached in (([-1, -1], [1, 1]), 0.75), (([0, 0], [0.5, 0]), 0.75), (([0.1, -1], [1, 1]), 0.0):
-        assert 0 <= support(loop, Polytope.box(*F), [[1.0, 0]]).bound[0] - reached <= 1e-9
+        assert 0 <= Cells().support(loop, Polytope.box(*F), [[1.0, 0]]).bound[0] - reached <= 1e-9
 
 
 def test_only_one_value_counts_off_the_boundary():
     loop = jump_loop([2.0, -1.0], [-3.0, 1.5])
     for x1, image in ((1 - 1e-6, [2, -1]), (1 + 1e-6, [-3, 1.5])):
-        found = support(loop, Polytope.box([x1, 0], [x1, 0]), directions(4))
+        found = Cells().support(loop, Polytope.box([x1, 0], [x1, 0]), directions(4))
         np.testing.assert_allclose(found.value, directions(4) @ image, atol=1e-12)
 
 
@@ -163,7 +163,7 @@ def test_both_values_count_where_the_boundary_follows_the_input():
     ]
     loop = ClosedLoop(PWASystem(modes, Polytope.box([-2, -2], [2, 2]), Polytope.box([0], [2])), net)
     for x, both in (([0.5, 0.5], True), ([-1, 0], True), ([0, 0], True), ([0.5, 0.6], False), ([-1, 0.1], False)):
-        found = support(loop, Polytope.box(x, x), [[1.0, 0], [0, 1.0]]).value
+        found = Cells().support(loop, Polytope.box(x, x), [[1.0, 0], [0, 1.0]]).value
         assert found.tolist() == ([1, 1] if both else [1, 0])
 
 
@@ -171,23 +171,23 @@ def test_mode_specific_disturbances_count_where_their_mode_acts():
     sets = [Polytope.box([0, 0], [0.5, 0]), Polytope.box([0, 0.25], [0, 0.25])]
     loop = jump_loop([0, 0], [0, 0], sets)
     V = directions(4)
-    assert support(loop, Polytope.box([0, 0], [0.5, 0.5]), V).value.tolist() == [0.5, 0, 0, 0]
-    assert support(loop, Polytope.box([2, 0], [2, 0]), V).value.tolist() == [0, 0.25, 0, -0.25]
-    assert support(loop, Polytope.box([1, 0], [1, 0]), V).value.tolist() == [0.5, 0.25, 0, 0]
+    assert Cells().support(loop, Polytope.box([0, 0], [0.5, 0.5]), V).value.tolist() == [0.5, 0, 0, 0]
+    assert Cells().support(loop, Polytope.box([2, 0], [2, 0]), V).value.tolist() == [0, 0.25, 0, -0.25]
+    assert Cells().support(loop, Polytope.box([1, 0], [1, 0]), V).value.tolist() == [0.5, 0.25, 0, 0]
 
 
 def test_step_after_a_boundary_goes_on_from_both_values():
     loop = jump_loop([1.0, 1.0], [-2.0, 0.5])
-    found = support(loop, Polytope.box([0, 0], [0, 0]), directions(4), steps=2)
+    found = Cells().support(loop, Polytope.box([0, 0], [0, 0]), directions(4), steps=2)
     np.testing.assert_allclose(found.value, [1, 1, 2, -0.5], atol=1e-12)
 
 
 def test_trajectories_that_leave_the_state_set_end_there():
     loop = jump_loop([9.0, 0.0], [0.5, 0.0])
     start = Polytope.box([0, 0], [2, 0])
-    assert support(loop, start, [[1.0, 0]]).value.tolist() == [9]
-    assert support(loop, start, [[1.0, 0]], steps=2).value.tolist() == [9]
-    assert support(loop, Polytope.box([0, 0], [0.5, 0]), [[1.0, 0]], steps=2).bound.tolist() == [-np.inf]
+    assert Cells().support(loop, start, [[1.0, 0]]).value.tolist() == [9]
+    assert Cells().support(loop, start, [[1.0, 0]], steps=2).value.tolist() == [9]
+    assert Cells().support(loop, Polytope.box([0, 0], [0.5, 0]), [[1.0, 0]], steps=2).bound.tolist() == [-np.inf]
 
 
 # -- the cells themselves -----------------------------------------------------------------------------
@@ -269,7 +269,7 @@ def test_cells_of_a_wide_relu_network_on_a_chessboard(seed, widths):
             np.testing.assert_allclose(found.K[i] @ x + found.g[i], u, atol=1e-10)
             mode = modes[found.mode[i]]
             ends.append(mode.A @ x + mode.B @ u + mode.p)
-    asked = support(loop, X, V)
+    asked = Cells().support(loop, X, V)
     assert ((np.array(ends) @ V.T).max(axis=0) <= asked.bound).all()
     for mode in modes:  # the largest value is attained at a corner of a cell
         x = points[mode.region.contains(np.hstack([points, np.zeros((len(points), 1))]), tol=1e-9)]
@@ -289,7 +289,7 @@ def test_cells_are_shared_by_loops_that_differ_in_the_dynamics_only():
 @pytest.mark.parametrize("length", [1e-3, 1.0, 1e3, 1e6])
 def test_bound_scales_with_the_length_of_a_direction(length):
     loop, F = random_loop(3), SETS["X"]
-    plain, scaled = support(loop, F, V), support(loop, F, length * V)
+    plain, scaled = Cells().support(loop, F, V), Cells().support(loop, F, length * V)
     np.testing.assert_allclose(scaled.value / length, plain.value, rtol=1e-12)
     assert (scaled.bound - scaled.value >= 1e-13 * np.maximum(length, 1)).all()
     assert (scaled.bound - scaled.value <= 1e-9 * np.maximum(length, 1)).all()
@@ -310,7 +310,7 @@ def test_bound_counts_the_error_of_the_network(size):
     for seed in range(12):
         net = cancelling(np.random.default_rng(seed), size)
         truth = abs(exact_input(net, [1, 0])[0])
-        found = support(ClosedLoop(PWASystem([mode], X, U), net), X, [[1.0, 0], [-1.0, 0]])
+        found = Cells().support(ClosedLoop(PWASystem([mode], X, U), net), X, [[1.0, 0], [-1.0, 0]])
         assert all(Fraction(bound) >= truth for bound in found.bound)
         short += any(Fraction(value) < truth for value in found.value)
     assert short > 2
@@ -327,7 +327,7 @@ def test_a_mode_counts_where_only_rounding_moves_its_row_of_u():
         regions = Polytope([[0.0, 0, 1]], [h]), Polytope([[0.0, 0, -1]], [-h])
         modes = [Mode(np.zeros((2, 2)), [[0], [0]], [p, 0], region) for p, region in zip((0.5, 0.0), regions)]
         loop = ClosedLoop(PWASystem(modes, X, U), net)
-        assert support(loop, Polytope.box([x, 0], [x, 0]), [[1.0, 0]]).bound[0] >= 0.5
+        assert Cells().support(loop, Polytope.box([x, 0], [x, 0]), [[1.0, 0]]).bound[0] >= 0.5
         above += net([x, 0])[0] > h + 1e-9
     assert above > 2
 
@@ -337,10 +337,11 @@ def test_large_disturbances_are_covered_by_the_rounding(size):
     """And equal sets give equal numbers, in whichever order their rows come."""
     loop = affine_loop(0.5 * np.eye(2), Polytope.box([-size / 3, -size / 7], [size / 3, size / 7]))
     X, half = Polytope.box([-1, -1], [1, 1]), Polytope([[1.0, 1], [-1, 0], [1, 3]], [0.3, 0.7, 0.2])
-    bound, exactly = support(loop, X, V).bound, exact.support(loop, X, V).value
+    bound, exactly = Cells().support(loop, X, V).bound, Exact().support(loop, X, V).value
     assert (bound >= exactly).all()
     assert (bound <= exactly + (1e-13 * size + 4e-10) * np.linalg.norm(V, axis=1)).all()
-    first, second = (support(loop, Polytope(half.H[order], half.h[order]), V).bound for order in ([0, 1, 2], [2, 0, 1]))
+    turned = [Polytope(half.H[order], half.h[order]) for order in ([0, 1, 2], [2, 0, 1])]
+    first, second = (Cells().support(loop, F, V).bound for F in turned)
     np.testing.assert_array_equal(first, second)
 
 
@@ -349,13 +350,13 @@ def test_flat_state_set_gives_flat_cells():
     flat = PWASystem(system.modes, Polytope.box([-1, 0.5], [2, 0.5]), system.input_set)
     net = MaxoutNetwork([Layer([[0.1, 0], [0, 0]], [0, 0.1], 2)], [[1.0]], [0.0])
     loop = ClosedLoop(flat, net)
-    np.testing.assert_allclose(support(loop, SETS["X"], directions(4)).value, [1, 0.25, 0.5, -0.25], atol=1e-12)
+    np.testing.assert_allclose(Cells().support(loop, SETS["X"], directions(4)).value, [1, 0.25, 0.5, -0.25], atol=1e-12)
 
 
 def test_empty_set_and_set_outside_have_no_image():
     loop = random_loop(0)
     for F in (Polytope.box([20, 20], [21, 21]), Polytope([[1.0, 0], [-1, 0]], [0, -1]), Polytope([[0.0, 0]], [-1])):
-        found = support(loop, F, V)
+        found = Cells().support(loop, F, V)
         assert (found.value == -np.inf).all() and (found.bound == -np.inf).all() and set(found.witness) == {None}
 
 
@@ -363,7 +364,7 @@ def test_a_point_whose_rows_are_rounded_is_a_point():
     """Rows of a template that are opposite but for rounding; read exactly they leave nothing of the point."""
     C, x = directions(8), np.array([-7.3, 8.52])
     loop = affine_loop(0.5 * np.eye(2), limits=10.0)
-    found = support(loop, Polytope(C, C @ x), C)
+    found = Cells().support(loop, Polytope(C, C @ x), C)
     np.testing.assert_allclose(found.value, C @ x / 2, atol=1e-12)
 
 
@@ -373,12 +374,12 @@ def test_a_point_whose_rows_are_rounded_is_a_point():
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda loop: support(loop, SETS["X"], [[1.0, 0, 0]]), ["V has shape (1, 3)", "2"]),
-        (lambda loop: support(loop, SETS["X"], [[np.nan, 0]]), ["V must be finite"]),
-        (lambda loop: support(loop, SETS["X"], [1.0, 0]), ["V must have 2 axes"]),
-        (lambda loop: support(loop, Polytope.box([0], [1]), V), ["F lies in R^1", "2 entries"]),
-        (lambda loop: support(loop, SETS["X"], V, 0), ["steps", "at least 1", "0"]),
-        (lambda loop: support(loop, SETS["X"], V, 1.5), ["steps", "whole number", "1.5"]),
+        (lambda loop: Cells().support(loop, SETS["X"], [[1.0, 0, 0]]), ["V has shape (1, 3)", "2"]),
+        (lambda loop: Cells().support(loop, SETS["X"], [[np.nan, 0]]), ["V must be finite"]),
+        (lambda loop: Cells().support(loop, SETS["X"], [1.0, 0]), ["V must have 2 axes"]),
+        (lambda loop: Cells().support(loop, Polytope.box([0], [1]), V), ["F lies in R^1", "2 entries"]),
+        (lambda loop: Cells().support(loop, SETS["X"], V, 0), ["steps", "at least 1", "0"]),
+        (lambda loop: Cells().support(loop, SETS["X"], V, 1.5), ["steps", "whole number", "1.5"]),
         (lambda loop: cells(random_loop(0, 3)), ["2 states", "has 3", "milp"]),
     ],
 )
@@ -393,7 +394,7 @@ def test_too_many_pieces_are_refused(monkeypatch):
 
     monkeypatch.setattr(module, "MOST_PIECES", 3)
     with pytest.raises(ValueError, match=r"after 1 steps .* pieces; take fewer steps"):
-        support(random_loop(0, cuts=3), SETS["X"], V, 2)
+        Cells().support(random_loop(0, cuts=3), SETS["X"], V, 2)
 
 
 def test_ties_between_equal_channels_give_one_cell():
@@ -407,7 +408,7 @@ def test_ties_between_equal_channels_give_one_cell():
         MaxoutNetwork([layer], [[1.0]], [0.0]),
     )
     assert len(cells(loop)) == 1
-    np.testing.assert_allclose(support(loop, SETS["X"], directions(4)).value, [2.5, 2.5, 1.5, 1.5], atol=1e-12)
+    np.testing.assert_allclose(Cells().support(loop, SETS["X"], directions(4)).value, [2.5, 2.5, 1.5, 1.5], atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -423,7 +424,7 @@ def test_ties_on_whole_edges_lose_nothing(seed):
     ]
     loop = ClosedLoop(PWASystem(modes, Polytope.box([-2, -2], [2, 2]), Polytope.box([-1], [1])), net)
     for F in (SETS["X"], Polytope.box([-1, -1], [1, 1]), Polytope.box([0, -2], [0, 2]), Polytope.box([1, 1], [1, 1])):
-        check(loop, F, support(loop, F, V), brute_support(loop, F, V))
+        check(loop, F, Cells().support(loop, F, V), brute_support(loop, F, V))
 
 
 def test_narrow_spike_is_a_spike():
@@ -438,22 +439,24 @@ def test_cells_that_a_set_misses_are_left_out_for_smaller_ones(seed):
     h, counts = Polytope.box([-3, -3], [3, 3]).support(H), []
     for _ in range(12):
         F = Polytope(H, h)
-        alone, helped = support(loop, F, V), support(loop, F, V, known=known)
+        alone, helped = Cells().support(loop, F, V), Cells().support(loop, F, V, warm_start=known)
         np.testing.assert_array_equal(helped.bound, alone.bound)
         np.testing.assert_array_equal(helped.value, alone.value)
-        np.testing.assert_array_equal(support(other, F, V, known=known).bound, support(other, F, V).bound)
+        for_another = Cells().support(other, F, V, warm_start=known)
+        np.testing.assert_array_equal(for_another.bound, Cells().support(other, F, V).bound)
         known = helped
         counts.append(len(known.left))
         h = h * rng.uniform(0.6, 1, len(h))
     assert counts == sorted(counts, reverse=True) and counts[-1] < counts[0]
     larger = Polytope.box([-3, -3], [3, 3])
-    np.testing.assert_array_equal(support(loop, larger, V, known=known).bound, support(loop, larger, V).bound)
+    alone, helped = Cells().support(loop, larger, V), Cells().support(loop, larger, V, warm_start=known)
+    np.testing.assert_array_equal(helped.bound, alone.bound)
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3])
 def test_outside_the_state_set_nothing_is_reached(steps):
     loop = random_loop(0)
-    found = support(loop, Polytope.box([50, 50], [60, 60]), V, steps)
+    found = Cells().support(loop, Polytope.box([50, 50], [60, 60]), V, steps)
     assert (found.bound == -np.inf).all() and list(found.witness) == [None] * len(V)
 
 
@@ -463,6 +466,6 @@ def test_nothing_is_reached_when_all_trajectories_have_left_the_state_set():
     system = PWASystem([Mode(3 * np.eye(2), [[0], [0]], [0, 0], everywhere, D)], X, U)
     loop = ClosedLoop(system, MaxoutNetwork([Layer(np.zeros((2, 2)), np.zeros(2), 2)], [[1.0]], [0.0]))
     F = Polytope.box([0.5, 0.5], [0.9, 0.9])  # R_1 lies beyond X
-    assert (support(loop, F, V, 1).bound > -np.inf).all()
+    assert (Cells().support(loop, F, V, 1).bound > -np.inf).all()
     for steps in (2, 3, 4):
-        assert (support(loop, F, V, steps).bound == -np.inf).all()
+        assert (Cells().support(loop, F, V, steps).bound == -np.inf).all()

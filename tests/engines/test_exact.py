@@ -9,7 +9,8 @@ from loops import affine_loop, assert_escapes, brute_support, exact_input, exact
 
 import mireach as mr
 from mireach.arithmetic.rational import binary
-from mireach.engines import cells, exact, steps
+from mireach.engines import exact, steps
+from mireach.engines.cells import Cells
 
 SHRUNK = 0.7  # F of the random questions, as a share of X
 
@@ -34,7 +35,7 @@ def test_support_agrees_with_brute_force_and_lies_below_the_bound_of_the_float_c
     found = mr.support(loop, F, V, engine="exact")
     np.testing.assert_allclose(found.value, brute_support(loop, F, V), atol=1e-7)
     assert (found.bound >= found.value).all() and (found.bound <= np.nextafter(found.value, np.inf)).all()
-    assert (cells.support(loop, F, V).bound >= found.bound).all()
+    assert (Cells().support(loop, F, V).bound >= found.bound).all()
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -31,10 +31,12 @@ from mireach import (
     safe_set,
     terminal_set,
 )
-from mireach.engines import cells, exact
 from mireach.engines.base import COUNTED, SOLVER
 from mireach.engines.bounds import lower_bound, upper_bound
+from mireach.engines.cells import Cells
+from mireach.engines.exact import Exact
 from mireach.engines.milp import engine as milp
+from mireach.engines.milp.engine import Milp
 from mireach.errors import SolverError, SolverStopped
 from mireach.solvers.linear_program import LinearProgram
 
@@ -71,7 +73,7 @@ def test_one_step_is_the_best_of_all_modes_and_channels(seed, n, m):
     V = np.random.default_rng(seed).normal(size=(3, n))
     for F in sets(n, np.random.default_rng(seed)):
         for bounds in ("lp", "interval"):
-            check(loop, F, milp.support(loop, F, V, bounds=bounds), brute_support(loop, F, V), V)
+            check(loop, F, Milp(bounds=bounds).support(loop, F, V), brute_support(loop, F, V), V)
 
 
 @pytest.mark.parametrize(("seed", "n", "steps"), [(0, 2, 2), (1, 2, 3), (2, 3, 2), (3, 1, 3)])
@@ -80,7 +82,7 @@ def test_several_steps_are_the_best_of_all_sequences(seed, n, steps):
     V = np.random.default_rng(seed).normal(size=(3, n))
     for F in sets(n, np.random.default_rng(seed))[::2]:
         expected = brute_support(loop, F, V, steps)
-        found = milp.support(loop, F, V, steps)
+        found = Milp().support(loop, F, V, steps)
         if np.isfinite(expected).all():
             check(loop, F, found, expected, V)
         else:
@@ -91,8 +93,8 @@ def test_several_steps_are_the_best_of_all_sequences(seed, n, steps):
 def test_milp_and_cells_agree_on_sets_of_every_dimension(seed):
     loop = random_loop(seed, m=1 + seed % 2, cuts=seed % 4, with_input=seed % 3 == 0, width=3, saturated=seed % 3 == 1)
     for F in sets(2, np.random.default_rng(seed)):
-        exact = cells.support(loop, F, V)
-        found = milp.support(loop, F, V)
+        exact = Cells().support(loop, F, V)
+        found = Milp().support(loop, F, V)
         check(loop, F, found, exact.value)
         assert (exact.bound >= found.value - 1e-7 * (1 + np.abs(found.value))).all()
 
@@ -122,7 +124,7 @@ def test_optimum_of_delicate_models_is_not_cut_off(seed, name):
         "point": Polytope.box(p, p),
         "slanted": Polytope.from_points(rng.uniform(-1, 1, (2, 2))),
     }[name]
-    check(loop, F, milp.support(loop, F, directions(8)), cells.support(loop, F, directions(8)).value, directions(8))
+    check(loop, F, Milp().support(loop, F, directions(8)), Cells().support(loop, F, directions(8)).value, directions(8))
 
 
 @pytest.mark.parametrize("steps", [1, 2])
@@ -132,7 +134,7 @@ def test_no_sampled_trajectory_passes_the_bound(n, steps):
         loop = random_loop(seed, n, cuts=2, with_input=True, layers=1, width=3)
         V = np.random.default_rng(seed).normal(size=(3, n))
         images = random_images(loop, EVERYTHING[n] & loop.system.state_set, np.random.default_rng(seed), 300, steps)
-        found = milp.support(loop, EVERYTHING[n], V, steps)
+        found = Milp().support(loop, EVERYTHING[n], V, steps)
         assert len(images) == 0 or ((images @ V.T).max(axis=0) <= found.bound).all()
 
 
@@ -153,7 +155,7 @@ def test_no_sampled_trajectory_passes_the_bound(n, steps):
 )
 def test_both_values_count_on_a_shared_boundary(F, expected, bounds):
     loop = jump_loop([2.0, -1.0], [-3.0, 1.5])
-    np.testing.assert_allclose(milp.support(loop, F, V, bounds=bounds).value, expected, atol=1e-9)
+    np.testing.assert_allclose(Milp(bounds=bounds).support(loop, F, V).value, expected, atol=1e-9)
 
 
 def test_mode_specific_disturbances_count_where_their_mode_acts():
@@ -161,12 +163,12 @@ def test_mode_specific_disturbances_count_where_their_mode_acts():
     for kinds in (("segment", "point"), ("box", "segment"), ("triangle", "origin"), ("point", "point")):
         loop = jump_loop([0.5, 0], [-0.5, 0], [disturbance(kind, rng, 2) for kind in kinds])
         for F in (Polytope.box([0, 0], [0, 0]), Polytope.box([1, 0], [1, 0]), Polytope.box([2, 0], [3, 1])):
-            check(loop, F, milp.support(loop, F, V), brute_support(loop, F, V))
+            check(loop, F, Milp().support(loop, F, V), brute_support(loop, F, V))
 
 
 def test_one_state_by_hand():
     loop = affine_loop([[0.5]], Polytope.box([-0.1], [0.2]))
-    found = milp.support(loop, Polytope.box([-0.4], [0.8]), [[1.0], [-1.0], [10.0]])
+    found = Milp().support(loop, Polytope.box([-0.4], [0.8]), [[1.0], [-1.0], [10.0]])
     np.testing.assert_allclose(found.value, [0.6, 0.3, 6], atol=1e-8)
     np.testing.assert_allclose(found.bound, [0.6, 0.3, 6], atol=1e-6)
 
@@ -178,7 +180,7 @@ def test_one_state_by_hand():
 def test_sets_without_successors_have_no_image(bounds):
     loop = affine_loop(0.1 * np.eye(2), p=[5.0, 0])
     for F, steps in ((Polytope.box([2, 2], [3, 3]), 1), (EVERYTHING[2], 2), (EVERYTHING[2], 3)):
-        found = milp.support(loop, F, V, steps, bounds=bounds)
+        found = Milp(bounds=bounds).support(loop, F, V, steps)
         assert (found.bound == -np.inf).all() and found.witness == (None,) * 4
 
 
@@ -186,7 +188,7 @@ def test_sets_without_successors_have_no_image(bounds):
 def test_image_outside_has_no_image_in_turn_with_a_network_whose_range_is_open(bounds):
     system = affine_loop(0.1 * np.eye(2), p=[5.0, 0]).system
     loop = ClosedLoop(system, random_network(np.random.default_rng(0), 2, 1).saturate(-1, 1))
-    assert (milp.support(loop, EVERYTHING[2], V, 2, bounds=bounds).bound == -np.inf).all()
+    assert (Milp(bounds=bounds).support(loop, EVERYTHING[2], V, 2).bound == -np.inf).all()
 
 
 # -- limits -------------------------------------------------------------------------------------------
@@ -200,7 +202,7 @@ def hard_loop():
 def test_time_limit_stops_with_a_bound_that_holds():
     loop, V = hard_loop()
     with pytest.raises(SolverStopped, match=r"time_limit = 0\.05 s") as stop:
-        milp.support(loop, EVERYTHING[3], V, formulation="paper", time_limit=0.05)
+        Milp(formulation="paper", time_limit=0.05).support(loop, EVERYTHING[3], V)
     known = stop.value.support
     images = random_images(loop, loop.system.state_set, np.random.default_rng(0), 300)
     assert ((images @ V.T).max(axis=0) <= known.bound).all() and (known.value <= known.bound).all()
@@ -208,8 +210,8 @@ def test_time_limit_stops_with_a_bound_that_holds():
 
 def test_ample_time_limit_changes_nothing():
     loop = random_loop(0)
-    limited = milp.support(loop, EVERYTHING[2], V, time_limit=60)
-    np.testing.assert_allclose(limited.value, milp.support(loop, EVERYTHING[2], V).value, atol=1e-8)
+    limited = Milp(time_limit=60).support(loop, EVERYTHING[2], V)
+    np.testing.assert_allclose(limited.value, Milp().support(loop, EVERYTHING[2], V).value, atol=1e-8)
 
 
 @pytest.mark.parametrize("formulation", ["split", "whole"])
@@ -223,7 +225,7 @@ def test_wrong_bound_of_the_solver_is_noticed(monkeypatch, formulation, wrong):
 
     monkeypatch.setattr(LinearProgram, "maximize_integer", too_low)
     with pytest.raises(SolverError, match=r"\[1\.0, 0\.0\].* a trajectory passes this"):
-        milp.support(loop, EVERYTHING[2], [[1.0, 0.0], [0.999, 0.001]], formulation=formulation)
+        Milp(formulation=formulation).support(loop, EVERYTHING[2], [[1.0, 0.0], [0.999, 0.001]])
 
 
 def test_bound_is_not_lifted_to_what_simulation_attains(monkeypatch):
@@ -235,7 +237,7 @@ def test_bound_is_not_lifted_to_what_simulation_attains(monkeypatch):
 
     monkeypatch.setattr(LinearProgram, "maximize_integer", too_low)
     with pytest.raises(SolverError, match="a trajectory passes this"):
-        milp.support(loop, EVERYTHING[2], [[1.0, 0.0]])
+        Milp().support(loop, EVERYTHING[2], [[1.0, 0.0]])
 
 
 # -- bounds -------------------------------------------------------------------------------------------
@@ -272,16 +274,16 @@ def test_network_that_leaves_the_input_set_between_samples_is_found(bounds):
 @pytest.mark.parametrize("seed", range(4))
 def test_saturated_network_is_not_taken_for_one_that_leaves(seed):
     loop = random_loop(seed, 3, 2, saturated=True)
-    assert np.isfinite(milp.support(loop, EVERYTHING[3], [[1.0, 0, 0]]).bound).all()
+    assert np.isfinite(Milp().support(loop, EVERYTHING[3], [[1.0, 0, 0]]).bound).all()
 
 
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda loop: milp.support(loop, EVERYTHING[2], [[1.0, 0, 0]]), ["V has shape (1, 3)", "2"]),
-        (lambda loop: milp.support(loop, EVERYTHING[3], V), ["F lies in R^3", "2 entries"]),
-        (lambda loop: milp.support(loop, EVERYTHING[2], V, -1), ["steps", "at least 1", "-1"]),
-        (lambda loop: milp.support(loop, EVERYTHING[2], V, bounds="big"), ["bounds must be one of", "'big'"]),
+        (lambda loop: Milp().support(loop, EVERYTHING[2], [[1.0, 0, 0]]), ["V has shape (1, 3)", "2"]),
+        (lambda loop: Milp().support(loop, EVERYTHING[3], V), ["F lies in R^3", "2 entries"]),
+        (lambda loop: Milp().support(loop, EVERYTHING[2], V, -1), ["steps", "at least 1", "-1"]),
+        (lambda loop: Milp(bounds="big").support(loop, EVERYTHING[2], V), ["bounds must be one of", "'big'"]),
     ],
 )
 def test_bad_arguments_are_named(ask, words):
@@ -307,8 +309,8 @@ def test_whole_sequences_of_the_case_studies_agree_with_exact_arithmetic(name):
     safe = safe_set(case.loop, case.safe_directions)
     terminal = terminal_set(case.loop, safe, case.directions, case.epsilon)
     for F in [*safe.history, *terminal.history[1:]]:
-        bound = milp.support(case.loop, F, case.directions).bound
-        truth = exact.support(case.loop, F, case.directions).value
+        bound = Milp().support(case.loop, F, case.directions).bound
+        truth = Exact().support(case.loop, F, case.directions).value
         assert (bound >= truth).all() and (bound <= truth + 1e-6).all()
 
 
@@ -318,7 +320,7 @@ def test_small_entries_of_the_plant_count(formulation):
     everywhere = Polytope(np.zeros((0, 3)), np.zeros(0))
     system = PWASystem([Mode([[0.5, -9e-10], [-9e-10, 0.5]], [[1], [0.5]], [0, 0], everywhere, D)], X, U)
     loop = ClosedLoop(system, MaxoutNetwork([Layer([[1e-4, 0], [1e-4, 0]], [0, 0], 2)], [[1.0]], [0.0]))
-    found, truth = milp.support(loop, X, directions(5), formulation=formulation), exact.support(loop, X, directions(5))
+    found, truth = (engine.support(loop, X, directions(5)) for engine in (Milp(formulation=formulation), Exact()))
     assert (found.bound >= truth.value).all() and (found.bound <= truth.value + 1e-6).all()
 
 
@@ -384,7 +386,7 @@ def replayed(loop, F, V, states, steps):
 def test_no_replayed_state_of_a_steep_loop_passes_the_bound(options, n, m):
     for seed in range(3):
         loop, F, V = steep_loop(10 * m + seed, n, m)
-        found = milp.support(loop, F, V, **options)
+        found = Milp(**options).support(loop, F, V)
         corners = np.array(np.meshgrid(*[[-1, 1]] * n)).reshape(n, -1).T * F.h[:n].min()
         states = np.vstack([corners, np.random.default_rng(seed).uniform(-1, 1, (60, n)) * F.h[:n].min()])
         for bound, value, best in zip(found.bound, found.value, replayed(loop, F, V, states, 1)):
@@ -397,10 +399,16 @@ def test_two_steps_with_several_inputs(options):
     for m in (1, 2, 3):
         loop, F, V = steep_loop(3 * m, 2, m, steps=2)
         states = np.random.default_rng(m).uniform(-1, 1, (60, 2)) * F.h[:2].min()
-        limits = milp.support(loop, F, V, 2, formulation="split")
-        for more in ({}, {"jobs": 2}, {"known": limits.bound}, {"time_limit": 60}, {"cutoff": limits.bound + 1}):
-            if m == 1 or not more:
-                found = milp.support(loop, F, V, 2, **options, **more)
+        limits = Milp(formulation="split").support(loop, F, V, 2)
+        for settings, more in (
+            ({}, {}),
+            ({"jobs": 2}, {}),
+            ({"time_limit": 60}, {}),
+            ({}, {"warm_start": limits}),
+            ({}, {"cutoff": limits.bound + 1}),
+        ):
+            if m == 1 or not (settings or more):
+                found = Milp(**options, **settings).support(loop, F, V, 2, **more)
                 for bound, best in zip(found.bound, replayed(loop, F, V, states, 2)):
                     assert best is None or Fraction(bound) >= best
 
@@ -418,7 +426,7 @@ def test_rounding_of_composed_layers_is_counted(formulation):
             mode = Mode([[0.5, 0], [0, 0]], [[1], [0]], [0, 0], X.product(U))
             loop = ClosedLoop(PWASystem([mode], X, U), net)
             truth = abs(Fraction(1, 2) + Fraction(c) * Fraction(a) - Fraction(d) * Fraction(b))
-            found = milp.support(loop, X, [[1.0, 0], [-1.0, 0]], formulation=formulation)
+            found = Milp(formulation=formulation).support(loop, X, [[1.0, 0], [-1.0, 0]])
             assert all(Fraction(bound) >= truth for bound in found.bound)
             assert all(Fraction(value) <= truth for value in found.value)
 
@@ -429,7 +437,7 @@ def test_bounds_of_boxes_that_are_skipped_are_kept(monkeypatch, seed, skipped):
     """The solver finds nothing in the best box; the bound of those that the cutoff skips has to remain."""
     loop = random_loop(seed, cuts=3, width=4, pool=3)
     X = loop.system.state_set
-    known = milp.support(loop, X, V)
+    known = Milp().support(loop, X, V)
     monkeypatch.setattr(milp._Leaves, "solve", lambda *asked: -np.inf)
     ask = milp._Ask(loop, X, V, 1, "lp", 0.0, np.inf, np.full(len(V), np.inf))
     leaves = milp._Leaves(ask, known.boxes, known.upper, 10**9)
@@ -444,7 +452,7 @@ def test_time_limit_is_one_for_all_directions_and_steps():
     many, before = np.random.default_rng(0).normal(size=(12, 3)), perf_counter()
     for formulation in milp.FORMULATIONS:
         with pytest.raises(SolverStopped) as stop:
-            milp.support(loop, EVERYTHING[3], many, 2, formulation=formulation, time_limit=0.2)
+            Milp(formulation=formulation, time_limit=0.2).support(loop, EVERYTHING[3], many, 2)
         known = stop.value.support
         images = random_images(loop, loop.system.state_set, np.random.default_rng(0), 200, 2)
         assert ((images @ many.T).max(axis=0, initial=-np.inf) <= known.bound).all() and known.rests_on == COUNTED
@@ -454,4 +462,4 @@ def test_time_limit_is_one_for_all_directions_and_steps():
 def test_answer_that_rests_on_the_solver_says_so(monkeypatch):
     loop, solve = random_loop(0), LinearProgram.maximize_integer
     monkeypatch.setattr(LinearProgram, "maximize_integer", lambda *a, **k: replace(solve(*a, **k), proven=False))
-    assert milp.support(loop, EVERYTHING[2], V, formulation="whole").rests_on == SOLVER
+    assert Milp(formulation="whole").support(loop, EVERYTHING[2], V).rests_on == SOLVER

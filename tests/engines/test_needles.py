@@ -8,8 +8,9 @@ from fuzz import CLOSE, some_loop
 from loops import jump_loop, random_loop
 
 from mireach import Polytope, directions
-from mireach.engines import cells, exact
-from mireach.engines.milp import engine as milp
+from mireach.engines.cells import Cells
+from mireach.engines.exact import Exact
+from mireach.engines.milp.engine import Milp
 
 
 def needle(rng, tip, w):
@@ -35,7 +36,7 @@ def against_walls(rng, loop, x, w):
 
 
 def assert_agree(loop, F, V):
-    found, exactly = cells.support(loop, F, V), exact.support(loop, F, V).value
+    found, exactly = Cells().support(loop, F, V), Exact().support(loop, F, V).value
     lengths = np.maximum(1, np.linalg.norm(V, axis=1))
     assert (found.bound >= exactly).all()
     assert (found.bound <= exactly + CLOSE * lengths).all()
@@ -76,7 +77,7 @@ def test_needles_end_where_they_meet_the_line_at_which_the_map_jumps(w):
     loop, end = jump_loop([0, 0], [0, 0]), 11 / 16
     modes = [replace(mode, A=A) for mode, A in zip(loop.system.modes, (np.eye(2), np.zeros((2, 2))))]
     loop = replace(loop, system=replace(loop.system, modes=modes))
-    found = cells.support(loop, Polytope([[-1.0, w]], [-1.0 + end * w]), [[0, 1.0], [1.0, 1.0]])
+    found = Cells().support(loop, Polytope([[-1.0, w]], [-1.0 + end * w]), [[0, 1.0], [1.0, 1.0]])
     assert (found.bound >= [end, 1 + end]).all() and (found.bound <= np.array([end, 1 + end]) + CLOSE).all()
 
 
@@ -86,6 +87,6 @@ def test_milp_attains_its_values_in_needles(seed):
     X, V = loop.system.state_set, directions(4)
     x, widths = X.sample(rng, 2), 10 ** rng.uniform(-9, -2, 2)
     for F in (needle(rng, x[0], widths[0]), sliver(rng, np.vstack([x, x]), widths[1] / 100)):
-        found, truth = milp.support(loop, F, V), exact.support(loop, F, V)
+        found, truth = Milp().support(loop, F, V), Exact().support(loop, F, V)
         assert (found.bound >= truth.value).all() and (found.value <= truth.bound).all()
         assert (found.value >= truth.value - 1e-6 * (1 + np.abs(truth.value))).all()

@@ -212,7 +212,7 @@ def test_larger_supports_agree_with_glpk(larger):
     terminal = load_sets(larger.name)[-1]
     V = np.ones((1, larger.system.state_size))
     found = mr.support(larger.loop, terminal, V, engine="milp")
-    glpk = mr.support(larger.loop, terminal, V, engine="cvxpy", solver="GLPK_MI")
+    glpk = mr.support(larger.loop, terminal, V, engine=mr.Cvxpy("GLPK_MI"))
     np.testing.assert_allclose(found.value, glpk.value, atol=1e-6)
 
 

@@ -9,16 +9,17 @@ import numpy as np
 
 from ..checks import positive_number, require_kind
 from ..engines.inputs import require_inputs
+from ..results import Result
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..typing import ArrayLike
-from .invariance import safe_set
 from .maximal_set import has_maximal_set
 from .plane import per_axis
+from .safe_set import safe_set
 
 
 @dataclass(frozen=True)
-class LargestDisturbance:
+class LargestDisturbance(Result):
     """Result of `largest_disturbance`.
 
     Attributes

@@ -12,15 +12,16 @@ from shapely.errors import GEOSException
 
 from ..checks import require_kind, whole_number
 from ..errors import RegionError
+from ..results import Result
 from ..sets.geos import Shape, Shapes, hulls, overlay
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.region import Region
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike, IntArray
-from .invariance import SafeSet
 from .maximal_set import MaximalSafeSet
 from .plane import PlanarLoop, normals, per_axis
+from .safe_set import SafeSet
 
 CLOSING = 2.0**-36  # least widening of an image (relative to the size): far above rounding, far below what is seen
 GRIDS = 2.0 ** np.array([-5, -4, -3])  # of the corners of a union, relative to the widening; the next one if GEOS fails
@@ -31,7 +32,7 @@ MOST_PARTS = 100_000  # that the image of a set may fall into
 
 
 @dataclass(frozen=True, eq=False)
-class Attractor:
+class Attractor(Result):
     """Result of `attractor`.
 
     Attributes
@@ -61,7 +62,7 @@ class Attractor:
 
     def __str__(self) -> str:
         state = "settled" if self.settled else "not settled"
-        return f"{state}: attractor, area {self.set.area:.6g}, {self.steps} steps"
+        return f"attractor: {state}; area {self.set.area:.6g}, {self.steps} steps"
 
 
 def exact_reach(loop: ClosedLoop, F: Polytope | Region, steps: int) -> list[Region]:

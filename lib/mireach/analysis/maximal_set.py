@@ -17,9 +17,9 @@ from shapely.errors import GEOSException
 from ..arithmetic.scaling import times
 from ..checks import positive_number, require_kind, whole_number
 from ..engines import exact
-from ..engines.base import EXACT
-from ..engines.steps import Escape
+from ..engines.base import EXACT, Escape
 from ..errors import RegionError
+from ..results import Result, Verdict
 from ..sets.geos import Shape, hulls, overlay
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
@@ -40,13 +40,13 @@ FLOATS = "floating point"  # what an answer rests on that `slack` protects from 
 
 
 @dataclass(frozen=True, eq=False)
-class RegionCheck:
+class RegionCheck(Result):
     """Result of `prove_rpi`.
 
     Attributes
     ----------
-    verdict : "proven", "refuted" or "unknown"
-    witness : engines.steps.Escape or None
+    verdict : Verdict
+    witness : Escape or None
         A step out of the region, in rational numbers, where the verdict is "refuted".
     reason : str
         What was shown, or why nothing was.
@@ -54,17 +54,17 @@ class RegionCheck:
         What the verdict rests on: "exact arithmetic"; empty where it is "unknown".
     """
 
-    verdict: str
+    verdict: Verdict
     witness: Escape | None
     reason: str
     settled: str = ""
 
     def __str__(self) -> str:
-        return f"{self.verdict}: the region is RPI; {self.reason}"
+        return f"RPI region: {self.verdict}; {self.reason}"
 
 
 @dataclass(frozen=True, eq=False)
-class MaximalSafeSet:
+class MaximalSafeSet(Result):
     """Result of `maximal_safe_set`: set <= the maximal RPI set in X <= outer.
 
     Attributes
@@ -77,7 +77,7 @@ class MaximalSafeSet:
         k with S_k = `set`.
     history : list of Region
         S_0, S_1, ..., S_k, of the iteration that led to `set`.
-    verdict : "proven", "refuted" or "unknown"
+    verdict : Verdict
         "proven": `set` is RPI, in rational arithmetic. "refuted": X holds no RPI set at all, since `outer` is
         empty.
     reason : str
@@ -93,16 +93,16 @@ class MaximalSafeSet:
     outer: Region
     iterations: int
     history: list[Region]
-    verdict: str
+    verdict: Verdict
     reason: str
     slack: float
     settled: str = ""
 
     def __str__(self) -> str:
         if self.set is None:
-            return f"{self.verdict}: maximal RPI set, none found; {self.reason}"
+            return f"maximal safe set: {self.verdict}, none found; {self.reason}"
         figures = f"area {self.set.area:.6g}, {self.iterations} iterations, slack {self.slack:g}"
-        return f"{self.verdict}: maximal RPI set, {figures}"
+        return f"maximal safe set: {self.verdict}; {figures}"
 
     @property
     def given_up(self) -> float:
@@ -154,7 +154,7 @@ def maximal_safe_set(
     >>> loop = mr.ClosedLoop(mr.PWASystem([mode], X, U), mr.MaxoutNetwork((), [[0.0, 0.0]], [0.0]))
     >>> found = mr.maximal_safe_set(loop)  # x1+ = 1.5 x2, x2+ = x1 / 2
     >>> print(found)
-    proven: maximal RPI set, area 2.66667, 1 iterations, slack 1e-09
+    maximal safe set: proven; area 2.66667, 1 iterations, slack 1e-09
     >>> found.set.contains([[1.0, 0.6], [1.0, 0.7]]).tolist()
     [True, False]
 
@@ -189,7 +189,7 @@ def _maximal(plane: PlanarLoop, slack: float, max_iterations: int, prove: bool) 
     outer = _outer(plane, slack, max_iterations)
     if outer.is_empty:
         reason = "X holds no RPI set: every state of it can be driven out of it"
-        return MaximalSafeSet(None, outer, 0, [Region.of(plane.state_set)], "refuted", reason, slack, FLOATS)
+        return MaximalSafeSet(None, outer, 0, [Region.of(plane.state_set)], Verdict.REFUTED, reason, slack, FLOATS)
     failures = []
     for tried in (*(slack * 10.0**power for power in range(COARSER + 1)), 0.0):
         history, unfinished = _shrink(plane, tried * plane.size, max_iterations)
@@ -201,12 +201,14 @@ def _maximal(plane: PlanarLoop, slack: float, max_iterations: int, prove: bool) 
             continue
         found = history[-1], outer, len(history) - 1, history
         if not prove:
-            return MaximalSafeSet(*found, "unknown", "; ".join([*failures, "not proven, for prove = False"]), tried)
+            return MaximalSafeSet(
+                *found, Verdict.UNKNOWN, "; ".join([*failures, "not proven, for prove = False"]), tried
+            )
         check = _check(plane.loop, history[-1].pieces)
-        if check.verdict == "proven":
-            return MaximalSafeSet(*found, "proven", "; ".join([*failures, check.reason]), tried, check.settled)
+        if check.verdict == Verdict.PROVEN:
+            return MaximalSafeSet(*found, Verdict.PROVEN, "; ".join([*failures, check.reason]), tried, check.settled)
         failures.append(f"with slack {tried:g} {check.reason}")
-    return MaximalSafeSet(None, outer, len(history) - 1, history, "unknown", "; ".join(failures), tried)
+    return MaximalSafeSet(None, outer, len(history) - 1, history, Verdict.UNKNOWN, "; ".join(failures), tried)
 
 
 def _outer(plane: PlanarLoop, slack: float, max_iterations: int) -> Region:
@@ -315,9 +317,9 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
     >>> mode = mr.Mode([[0, 1.5], [0.5, 0]], [[0], [0]], [0, 0], X.product(U), zero)
     >>> loop = mr.ClosedLoop(mr.PWASystem([mode], X, U), mr.MaxoutNetwork((), [[0.0, 0.0]], [0.0]))
     >>> print(mr.prove_rpi(loop, mr.Polytope.box([-1, -0.5], [1, 0.5])))  # x1+ = 1.5 x2, x2+ = x1 / 2
-    proven: the region is RPI; no step leaves the 1 pieces of the region, in rational arithmetic
-    >>> mr.prove_rpi(loop, X).verdict
-    'refuted'
+    RPI region: proven; no step leaves the 1 pieces of the region, in rational arithmetic
+    >>> mr.prove_rpi(loop, X).verdict == "refuted"
+    True
 
     Notes
     -----
@@ -339,15 +341,15 @@ def _check(loop: ClosedLoop, pieces: Polygons, scale: ArrayLike = (1.0, 1.0)) ->
     try:
         escape = exact.first_escape(loop, [pieces[i] for i in range(len(pieces))])
     except ArithmeticError as error:
-        return RegionCheck("unknown", None, str(error))
+        return RegionCheck(Verdict.UNKNOWN, None, str(error))
     if escape is not None:
         parts = [escape.state, escape.disturbance, escape.after]
         factors = [Fraction(s) for s in np.asarray(scale, float).tolist()]
         x, d, after = (part and tuple(value * s for value, s in zip(part, factors)) for part in parts)
         escape = Escape(x, escape.mode, d, after)
-        return RegionCheck("refuted", escape, f"a step leaves the region: {escape}", EXACT)
+        return RegionCheck(Verdict.REFUTED, escape, f"a step leaves the region: {escape}", EXACT)
     reason = f"no step leaves the {len(pieces)} pieces of the region, in rational arithmetic"
-    return RegionCheck("proven", None, reason, EXACT)
+    return RegionCheck(Verdict.PROVEN, None, reason, EXACT)
 
 
 def _mode_in_doubt(plane: PlanarLoop) -> bool:

@@ -1,43 +1,34 @@
 """Reachable sets: support functions by any engine, outer steps and outer sequences."""
 
-import inspect
 import warnings
-from importlib import import_module
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
-from ..checks import positive_number, real_array, require_columns, require_kind, whole_number
-from ..engines.base import Support, checked_query
+from ..checks import real_array, require_columns, require_kind, whole_number
+from ..engines.base import Engine, Query, Support, checked_query
 from ..engines.inputs import require_inputs
+from ..engines.registry import engine_for
 from ..engines.units import own_units
 from ..errors import SolverStopped
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-
-ENGINES = {
-    "cells": "cells",
-    "milp": "milp.engine",
-    "exact": "exact",
-    "cvxpy": "cvxpy_model",
-}  # name -> module in `engines` with its `support`
-RESOLUTION = {
-    "cells": 0.0,
-    "milp": 1e-6,
-    "exact": 0.0,
-    "cvxpy": 1e-5,
-}  # how far an engine's bound may lie above the truth, and tie with it (relative to the size of X)
+from ..typing import ArrayLike
 
 LEAST_TIME = 1e-3  # seconds that are left to an engine where the check of the inputs took all of its time
 
 
-def default_engine(loop):
-    """The cells where they apply (two states), else the MILP."""
-    require_kind(loop, ClosedLoop, "loop")
-    return "cells" if loop.system.state_size == 2 else "milp"
-
-
-def support(loop, F, V, steps=1, engine=None, **options):
+def support(
+    loop: ClosedLoop,
+    F: Polytope,
+    V: ArrayLike,
+    steps: int = 1,
+    engine: Engine | str | None = None,
+    *,
+    cutoff: ArrayLike | None = None,
+    warm_start: Support | None = None,
+) -> Support:
     """Support function of the k-step reachable set: h of R_k(F) along V (Lemma 2).
 
     Parameters
@@ -47,55 +38,76 @@ def support(loop, F, V, steps=1, engine=None, **options):
         Where trajectories start. States outside X have no successor: F & X counts, and at every later
         step only what stays in X goes on.
     V : array (k, n)
-        Directions, one a row.
+        Directions, one per row.
     steps : int
         The k of R_k.
-    engine : "cells", "milp", "exact", "cvxpy" or None
-        None takes the cells for two states, else the MILP.
-    **options
-        Passed to the engine, such as `time_limit` for the MILP.
+    engine : Engine, str or None
+        An engine with its settings, such as `Milp(time_limit=60)`; "cells", "milp", "exact" or "cvxpy" for one with
+        its defaults; None for the cells for two states, else the MILP.
+    cutoff : array (k,) or None
+        Where the only question is whether h exceeds this: an engine may stop at any bound that does not.
+    warm_start : Support or None
+        An earlier answer for the same loop, V and steps, and a set that holds F.
 
     Returns
     -------
     Support
-        `value` (k,) attained, `bound` (k,) proven, and the `witness` that attains the value.
+        `value` (k,) attained, `bound` (k,) an upper bound, and the `witness` that attains the value.
 
     Raises
     ------
+    TypeError
+        If an argument is of another kind.
     ValueError
-        If sizes do not match, the engine has another name or no such option, or Phi leaves U.
+        If sizes do not match, the engine has another name, `warm_start` answers another question, or Phi leaves U.
     SolverStopped
-        If a limit stopped the solver.
+        If a time limit stopped the engine; its `support` holds the bounds so far.
+
+    See Also
+    --------
+    outer_step : the polytope that these bounds describe.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> case = mr.case_study("pwa")
+    >>> found = mr.support(case.loop, mr.Polytope.box([0, 0], [1, 1]), [[1, 0], [0, 1]])
+    >>> bool((found.value <= found.bound).all()), found.rests_on
+    (True, 'rounding counted')
     """
-    engine = default_engine(loop) if engine is None else engine
-    if not isinstance(engine, str) or engine not in ENGINES:
-        raise ValueError(f"engine must be one of {', '.join(ENGINES)}; got {engine!r}")
-    answer = import_module(f"mireach.engines.{ENGINES[engine]}").support
-    accepted = inspect.signature(answer).parameters if options else {}
-    unknown = [name for name in options if name not in accepted]
-    if unknown and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in accepted.values()):
-        own = ", ".join(list(accepted)[4:]) or "none"
-        raise ValueError(f"the engine {engine!r} has no option {', '.join(unknown)}; its options: {own}")
+    engine, begin = engine_for(loop, engine), perf_counter()
     V, steps = checked_query(loop, F, V, steps)
-    units, begin, time_limit = own_units(loop), perf_counter(), options.get("time_limit")
-    if time_limit is not None:
-        time_limit = positive_number(time_limit, "time_limit")
+    query, units = Query(loop, F, V, steps), own_units(loop)
     rows, factor = units.rows(V)
-    for name in ("known", "cutoff"):
-        if options.get(name) is not None:
-            given = options[name]
-            options[name] = given.source if isinstance(given, Support) else np.asarray(given, float) * factor
-    resolution = RESOLUTION[engine]
+    if cutoff is not None:
+        cutoff = np.asarray(cutoff, float)
+        if cutoff.shape != (len(V),):
+            raise ValueError(f"cutoff has shape {cutoff.shape}, but V has {len(V)} rows; give one number per row")
+        cutoff = cutoff * factor
+    if warm_start is not None:
+        _require_warm_start(warm_start, query)
+        warm_start = warm_start.source
     try:
-        require_inputs(loop, time_limit)
-        if time_limit is not None:
-            options["time_limit"] = max(time_limit - (perf_counter() - begin), LEAST_TIME)
-        return units.support(answer(units.loop, units.polytope(F), rows, steps, **options), factor, resolution)
+        require_inputs(loop, engine.time_limit)
+        if engine.time_limit is not None:
+            left = engine.time_limit - (perf_counter() - begin)
+            engine = replace(engine, time_limit=max(left, LEAST_TIME))
+        found = engine.support(units.loop, units.polytope(F), rows, steps, cutoff=cutoff, warm_start=warm_start)
     except SolverStopped as stop:
-        raise units.stopped(stop, factor, resolution) from stop
+        raise units.stopped(stop, factor, engine.resolution, query) from stop
+    return units.support(found, factor, engine.resolution, query)
 
 
-def outer_step(loop, F, C, engine=None, **options):
+def _require_warm_start(warm_start: Support, query: Query) -> None:
+    """Raise ValueError unless the bounds of an earlier answer hold for this question."""
+    require_kind(warm_start, Support, "warm_start")
+    before = warm_start.query
+    same = before is not None and before.loop is query.loop and before.steps == query.steps
+    if not (same and np.array_equal(before.V, query.V) and query.F.is_subset(before.F)):
+        raise ValueError("warm_start answers another question: give one for the same loop, V and steps, and a larger F")
+
+
+def outer_step(loop: ClosedLoop, F: Polytope, C: ArrayLike, engine: Engine | str | None = None) -> Polytope:
     """R_1-bar(F) = {x : C x <= h of R_1(F) along C} (eq. Rover1), the smallest such set around R_1(F).
 
     Parameters
@@ -104,6 +116,8 @@ def outer_step(loop, F, C, engine=None, **options):
     F : Polytope
     C : array (l, n)
         Template.
+    engine : Engine, str or None
+        As in `support`.
 
     Returns
     -------
@@ -113,16 +127,30 @@ def outer_step(loop, F, C, engine=None, **options):
     ------
     ValueError
         As `support`, and if F does not meet X.
+
+    See Also
+    --------
+    outer_reach : several steps.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> case = mr.case_study("pwa")
+    >>> mr.outer_step(case.loop, mr.Polytope.box([0, 0], [1, 1]), mr.directions(8))
+    Polytope(8 rows in R^2)
     """
     C = real_array(C, "C", 2)
+    require_kind(loop, ClosedLoop, "loop")
     require_columns(C, loop.system.state_size, "C", "the state's size")
-    bound = support(loop, F, C, engine=engine, **options).bound
+    bound = support(loop, F, C, engine=engine).bound
     if not np.isfinite(bound).all():
         raise ValueError("F does not meet the state set, so no state of it has a successor")
     return Polytope(C, bound)
 
 
-def outer_reach(loop, F, C, steps, engine=None, **options):
+def outer_reach(
+    loop: ClosedLoop, F: Polytope, C: ArrayLike, steps: int, engine: Engine | str | None = None
+) -> list[Polytope]:
     """R_0-bar(F) = F, R_1-bar(F), ..., R_k-bar(F) for k = `steps` (eq. ROverOver).
 
     Parameters
@@ -133,20 +161,38 @@ def outer_reach(loop, F, C, steps, engine=None, **options):
         Template.
     steps : int
         At least 0.
+    engine : Engine, str or None
+        As in `support`.
 
     Returns
     -------
     list of steps + 1 Polytope
 
+    Raises
+    ------
+    ValueError
+        As `outer_step`.
+
     Warns
     -----
     UserWarning
-        If a set leaves X; what follows then only describes trajectories that stay in X.
+        If a set leaves X: the sets that follow hold only trajectories that stay in X.
+
+    See Also
+    --------
+    outer_step : one step.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> case = mr.case_study("pwa")
+    >>> len(mr.outer_reach(case.loop, mr.Polytope.box([0, 0], [1, 1]), mr.directions(8), 3))
+    4
     """
     require_kind(F, Polytope, "F")
     sets = [F]
     for k in range(whole_number(steps, "steps", 0)):
         if not sets[-1].is_subset(loop.system.state_set):
             warnings.warn(f"R{k} leaves the state set; later sets describe only what stays in it", stacklevel=2)
-        sets.append(outer_step(loop, sets[-1], C, engine, **options))
+        sets.append(outer_step(loop, sets[-1], C, engine))
     return sets

@@ -9,14 +9,16 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import prod
 
-import highspy
 import numpy as np
 
-from ..analysis.invariance import SafeSet, TerminalSet
 from ..analysis.reach import support
+from ..analysis.safe_set import SafeSet
+from ..analysis.terminal_set import TerminalSet
 from ..arithmetic.rational import above, binary, maximize
 from ..checks import require_kind
 from ..engines import exact
+from ..engines.exact import Exact
+from ..engines.registry import engine_for
 from ..files import write_json
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
@@ -57,14 +59,14 @@ class Certificate:
         write_json(path, self.content)
 
 
-def write(path, loop, safe, terminal=None, *, plant=None, engine="milp"):
+def write(path, loop, safe, terminal=None, *, plant=None, engine=None):
     """`make` a certificate and write it to a file."""
     made = make(loop, safe, terminal, plant=plant, engine=engine)
     made.save(path)
     return made
 
 
-def make(loop, safe, terminal=None, *, plant=None, engine="milp"):
+def make(loop, safe, terminal=None, *, plant=None, engine=None):
     """A certificate of what was found about a loop.
 
     Parameters
@@ -76,8 +78,9 @@ def make(loop, safe, terminal=None, *, plant=None, engine="milp"):
         Of that safe set. None claims nothing beyond the safe set.
     plant : NonlinearSystem or None
         That the loop's system approximates, its f a polynomial: the error set and Theorem 2 are claimed as well.
-    engine : str
-        For more than two states: whose bounds the certificate carries.
+    engine : Engine, str or None
+        For more than two states: whose bounds the certificate carries; None is the MILP. For two states the bounds are
+        exact.
 
     Returns
     -------
@@ -112,7 +115,7 @@ def make(loop, safe, terminal=None, *, plant=None, engine="milp"):
         if len(history) < 2:
             raise ValueError("terminal has no steps, only the safe set; leave it out, or give one with steps >= 1")
     planar = loop.system.state_size == 2
-    engine = "exact" if planar else engine
+    engine = Exact() if planar else engine_for(loop, engine)
     C = _template(loop, history)
     wanted = [_offsets(loop, R, C) for R in history]
     sets, bounds = _repaired(loop, C, wanted, engine)
@@ -127,8 +130,7 @@ def make(loop, safe, terminal=None, *, plant=None, engine="milp"):
     if plant is not None:
         content["plant"] = {"f": _polynomials(plant, loop, safe)}
     if not planar:
-        solver = f"HiGHS {highspy.Highs().version()}" if engine == "milp" else engine
-        content["bounds"] = {"solver": solver, "offsets": [h.tolist() for h in bounds]}
+        content["bounds"] = {"solver": engine.software, "offsets": [h.tolist() for h in bounds]}
     report = _settled(content)
     content["digest"] = checker.digest(checker.parse(json.dumps(content)))
     return Certificate(content, report, max(float((h - given).max()) for h, given in zip(sets, wanted)))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from math import inf, nextafter
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.templates import box_directions
 from ..solvers.linear_program import LinearProgram
-from .base import Lazily, Support, checked_query, empty_support, replay
+from .base import Engine, Lazily, Support, checked_query, empty_support, replay
 
 TOUCH = 1e-11  # closed sets that come this close touch (relative to the size of X)
 ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this (in the units of the loop) ...
@@ -47,7 +48,7 @@ class Walls:
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class NetworkCells:
     """A covering of X by closed convex polygons, each with one mode and one affine piece u = K x + g.
 
     Attributes
@@ -78,7 +79,7 @@ class Cells:
     def take(self, chosen):
         """The cells with the given indices."""
         per_cell = (self.mode, self.K, self.g, self.error, self.cuts)
-        return Cells(self.polygons.take(chosen), *(array[chosen] for array in per_cell), self.walls)
+        return NetworkCells(self.polygons.take(chosen), *(array[chosen] for array in per_cell), self.walls)
 
     @cached_property
     def all(self):
@@ -124,13 +125,13 @@ class CellSupport(Support):
     ----------
     F : Polytope
         Of which the reachable set was asked for.
-    cells : Cells
+    cells : NetworkCells
     left : array (q,) of int
         All of them but those that were found to miss F.
     """
 
     F: Polytope
-    cells: Cells
+    cells: NetworkCells
     left: np.ndarray
 
     def within(self, F, cells):
@@ -145,7 +146,7 @@ class LoopCells:
 
     Attributes
     ----------
-    cells : Cells
+    cells : NetworkCells
     M : array (N, 2, 2)
     c : array (N, 2)
     error : array (N, 2)
@@ -156,7 +157,7 @@ class LoopCells:
         Bounds are rounded up to multiples of this power of two, the same for all sets of the loop.
     """
 
-    cells: Cells
+    cells: NetworkCells
     M: np.ndarray
     c: np.ndarray
     error: np.ndarray
@@ -178,7 +179,7 @@ def cells(loop):
 
     Returns
     -------
-    Cells
+    NetworkCells
         The same object for loops that differ only in A, B, p or the disturbances.
 
     Raises
@@ -215,33 +216,16 @@ def dynamics(loop):
     return replace(every, error=error, unit=_unit(size))
 
 
-def support(loop, F, V, steps=1, *, known=None):
-    """h of R_k(F) along the rows of V, by the vertices of the cells (Lemma 2 without its MILP).
+@dataclass(frozen=True)
+class Cells(Engine):
+    """h of R_k(F) by the vertices of the cells, the pieces of X on which the loop is affine (Lemma 2 without its MILP).
 
-    Parameters
-    ----------
-    loop : ClosedLoop
-        With two states.
-    F : Polytope
-        States outside X have no successor: F & X counts. Flat sets and points are fine.
-    V : array (k, 2)
-    steps : int
-        More than one step follows every piece of the reachable set through the cells, those apart that lie in
-        another; their number grows with `steps`.
-    known : Support or None
-        The answer for a larger set with the same rows, for one step: cells that it found to miss that set are left out.
+    For two states, any number of steps, and F of any shape, points included.
 
-    Returns
-    -------
-    Support
-        For one step a `CellSupport`, which helps as `known`.
-        `bound` is rounded up to a multiple of 1.5e-11 in the units of the loop, of more only for images above 256
-        (times |v| for long rows), so that equal sets give equal numbers.
-
-    Raises
-    ------
-    ValueError
-        If the loop has not two states, or the reachable set falls into too many pieces.
+    See Also
+    --------
+    Exact : the same cells in rational arithmetic, for one step.
+    Milp : for any number of states.
 
     Notes
     -----
@@ -266,31 +250,52 @@ def support(loop, F, V, steps=1, *, known=None):
     is widened by its error before it goes on: the bound stays above the truth, and that error grows with the gain of
     the loop.
     """
-    V, steps = checked_query(loop, F, V, steps)
-    every = dynamics(loop)
-    chosen = known.within(F, every.cells) if steps == 1 and isinstance(known, CellSupport) else every.cells.all
-    rows = _rows(loop, every, V.shape, V.tobytes())
-    pieces = [(F, ())]
-    for step in range(steps - 1):
-        pieces = _uncovered([image for piece, chain in pieces for image in _images(every, piece, chain)])
-        if len(pieces) > MOST_PIECES:
-            raise ValueError(
-                f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, "
-                'a smaller F, or engine="milp"'
-            )
-    if not pieces:
-        return empty_support(len(V))
-    value, top, cell, left = _highest(every, pieces[0][0], rows, chosen)
-    end = np.zeros(len(V), int)
-    for number, (piece, _) in enumerate(pieces[1:], start=1):
-        reached, above, where, _ = _highest(every, piece, rows, chosen)
-        better = above > top
-        value[better], top[better], end[better], cell[better] = reached[better], above[better], number, where[better]
-    if not np.isfinite(value).all():
-        return empty_support(len(V))
-    witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
-    found = value, np.ceil(top / rows.unit + 0.05) * rows.unit, witness
-    return CellSupport(*found, F, every.cells, left) if steps == 1 else Support(*found)
+
+    name: ClassVar[str] = "cells"
+
+    def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None) -> Support:
+        """As `Engine.support`, for two states.
+
+        Notes
+        -----
+        For one step the answer is a `CellSupport`: as `warm_start` for a smaller set it names the cells that need not
+        be looked at again. More than one step follows every piece of the reachable set through the cells; their number
+        grows with `steps`. `bound` is rounded up to a multiple of 1.5e-11, of more for images above 256 (times |v| for
+        long rows), so that equal sets give equal numbers. `cutoff` is not used.
+
+        Raises
+        ------
+        ValueError
+            If the loop has not two states, or the reachable set falls into too many pieces.
+        """
+        V, steps = checked_query(loop, F, V, steps)
+        every = dynamics(loop)
+        chosen = every.cells.all
+        if steps == 1 and isinstance(warm_start, CellSupport):
+            chosen = warm_start.within(F, every.cells)
+        rows = _rows(loop, every, V.shape, V.tobytes())
+        pieces = [(F, ())]
+        for step in range(steps - 1):
+            pieces = _uncovered([image for piece, chain in pieces for image in _images(every, piece, chain)])
+            if len(pieces) > MOST_PIECES:
+                raise ValueError(
+                    f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, "
+                    'a smaller F, or engine="milp"'
+                )
+        if not pieces:
+            return empty_support(len(V))
+        value, top, cell, left = _highest(every, pieces[0][0], rows, chosen)
+        end = np.zeros(len(V), int)
+        for number, (piece, _) in enumerate(pieces[1:], start=1):
+            reached, above, where, _ = _highest(every, piece, rows, chosen)
+            better = above > top
+            value[better], top[better], cell[better] = reached[better], above[better], where[better]
+            end[better] = number
+        if not np.isfinite(value).all():
+            return empty_support(len(V))
+        witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
+        found = value, np.ceil(top / rows.unit + 0.05) * rows.unit, witness
+        return CellSupport(*found, F, every.cells, left) if steps == 1 else Support(*found)
 
 
 # -- building the cells -------------------------------------------------------------------------------
@@ -304,7 +309,7 @@ def _cells(network, regions, state_set):
 
 @lru_cache(maxsize=128)
 def _before_inputs(network, regions, state_set):
-    """The Cells before they are cut by those rows of regions that involve u: they cover X for every mode."""
+    """The NetworkCells before they are cut by those rows of regions that involve u: they cover X for every mode."""
     domains, modes, walls = _domains(regions, state_set)
     size = _size(domains.points)
     layers = [(layer.weight, layer.bias, layer.pool) for layer in network.hidden] + [(network.weight, network.bias, 1)]
@@ -323,7 +328,7 @@ def _before_inputs(network, regions, state_set):
     sizes, owner, cuts = shape.T
     polygons = Polygons(points, np.concatenate([[0], np.cumsum(sizes)]))
     K, g, error = np.split(values.reshape(len(values), -1, 4), [2, 3], axis=2)
-    return Cells(polygons, modes[owner], K.copy(), g[..., 0].copy(), error[..., 0].copy(), cuts, walls)
+    return NetworkCells(polygons, modes[owner], K.copy(), g[..., 0].copy(), error[..., 0].copy(), cuts, walls)
 
 
 def input_excess(network, regions, X, U):

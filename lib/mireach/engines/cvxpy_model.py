@@ -5,12 +5,15 @@ arithmetic. The engine `milp` answers the same question faster and with a proven
 """
 
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from ..errors import MissingExtraError, SolverStopped
 from .attained import attained
-from .base import SOLVER, Support, checked_query, empty_support
+from .base import SOLVER, Engine, Support, checked_query, empty_support
 
 TOLERANCE = 1e-7  # added to what the solver calls optimal, in units of v x
 ZERO_GAP = {
@@ -32,62 +35,71 @@ TIME_LIMIT = {
 }
 
 
-def support(loop, F, V, steps=1, *, solver="HIGHS", time_limit=None, tolerance=TOLERANCE, **solver_options):
-    """Support function of the k-step reachable set by the MILP of Lemma 2: c_k*(v, F) = h_{R_k(F)}(v).
+@dataclass(frozen=True)
+class Cvxpy(Engine):
+    """c_k*(v, F) = h of R_k(F), by the MILP of Lemma 2 written in cvxpy, for any MILP solver that cvxpy has.
 
     Parameters
     ----------
-    loop : ClosedLoop
-    F : Polytope
-        In R^n; its part in X counts.
-    V : array (k, n)
-        Directions, one a row.
-    steps : int
-        The paper's k; the model has k (s + sum p_i w_i) binary variables.
     solver : str
         A MILP solver of `cvxpy.installed_solvers()`.
     time_limit : float or None
-        Seconds a direction.
+        Seconds per direction.
     tolerance : float
-        In units of v x; what the solver's answer is trusted to.
-    **solver_options
-        Passed on to cvxpy.
+        In units of v x; the solver's answer is trusted to within it.
+    options : mapping
+        The solver's own options, passed to `cvxpy.Problem.solve`.
 
-    Returns
-    -------
-    Support
+    See Also
+    --------
+    Milp : faster, with bounds that do not rest on the solver.
+    """
+
+    name: ClassVar[str] = "cvxpy"
+    resolution: ClassVar[float] = 1e-5
+
+    solver: str = "HIGHS"
+    time_limit: float | None = None
+    tolerance: float = TOLERANCE
+    options: Mapping[str, object] = field(default_factory=dict)
+
+    def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None) -> Support:
+        """As `Engine.support`. The model has k (s + sum of p_i w_i) binary variables.
+
+        Notes
+        -----
         `value` is attained by the witness in rational arithmetic, or -inf without one. `bound` is the solver's optimum
         plus `tolerance`: cvxpy does not expose the dual bound, so it is as accurate as the solver and not proven
-        (`rests_on` is SOLVER).
+        (`rests_on` is SOLVER). `cutoff` and `warm_start` are not used.
 
-    Raises
-    ------
-    ValueError
-        If an argument does not fit, or cvxpy does not know the solver.
-    SolverStopped
-        If the solver ends without an optimum.
-    MissingExtraError
-        If cvxpy is missing.
-    """
-    V, steps = checked_query(loop, F, V, steps)
-    start = F & loop.system.state_set
-    if start.is_empty:
-        return empty_support(len(V))
-    options = _options(solver, time_limit, solver_options)
-    problem, v, x, gamma, d = model(loop, F, steps)
-    answers = []
-    for row in V:
-        v.value = row
-        optimum = _solve(problem, solver, options, len(V))
-        if optimum is None:
-            return empty_support(len(V), SOLVER)
-        modes = [int(np.argmax(choice.value)) for choice in gamma]
-        reached = attained(loop, start, row, [(optimum, (x[0].value, modes, [part.value for part in d]))])
-        value = -np.inf if reached is None else reached.value
-        witness = None if reached is None else reached.witness()
-        answers.append((value, max(value, optimum) + tolerance, witness))
-    values, bounds, witnesses = zip(*answers) if answers else ((), (), ())
-    return Support(np.array(values), np.array(bounds), tuple(witnesses), rests_on=SOLVER)
+        Raises
+        ------
+        ValueError
+            If cvxpy does not have the solver.
+        SolverStopped
+            If the solver ends without an optimum.
+        MissingExtraError
+            If cvxpy is not installed.
+        """
+        V, steps = checked_query(loop, F, V, steps)
+        start = F & loop.system.state_set
+        if start.is_empty:
+            return empty_support(len(V))
+        options = _options(self.solver, self.time_limit, self.options)
+        problem, v, x, gamma, d = model(loop, F, steps)
+        answers = []
+        for row in V:
+            v.value = row
+            optimum = _solve(problem, self.solver, options, len(V))
+            if optimum is None:
+                return empty_support(len(V), SOLVER)
+            modes = [int(np.argmax(choice.value)) for choice in gamma]
+            reached = attained(loop, start, row, [(optimum, (x[0].value, modes, [part.value for part in d]))])
+            value = -np.inf if reached is None else reached.value
+            witness = None if reached is None else reached.witness()
+            answers.append((value, max(value, optimum) + self.tolerance, witness))
+        values, bounds, witnesses = zip(*answers) if answers else ((), (), ())
+        return Support(np.array(values), np.array(bounds), tuple(witnesses), rests_on=SOLVER)
 
 
 def model(loop, F, steps):

@@ -7,14 +7,15 @@ of them superfluous; one corner is a point, two are a segment.
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import above, binary, dot, fractions, maximize, nearest
 from ..sets.polytope import Polytope
-from .base import EXACT, Lazily, Support, checked_query, empty_support, replay
-from .steps import Escape, Step, with_bias
+from .base import EXACT, Engine, Escape, Lazily, Support, checked_query, empty_support, replay
+from .steps import Step, with_bias
 
 AROUND = 2.0**-40  # boxes that sort out what cannot meet are this much larger (relative), for they are floats
 MOST_PARTS = 10_000  # parts that the rest of one image may fall into while it is compared with a region
@@ -42,42 +43,40 @@ class ExactCell:
         return tuple(row[0] * x[0] + row[1] * x[1] + offset for row, offset in zip(self.M, self.c))
 
 
-def support(loop, F, V, steps=1):
-    """h of R_1(F) along the rows of V, without rounding.
+@dataclass(frozen=True)
+class Exact(Engine):
+    """h of R_1(F) by the cells in rational arithmetic, for two states and one step.
 
-    Parameters
-    ----------
-    loop : ClosedLoop
-        With two states.
-    F : Polytope
-        Its rows are the floats they are.
-    V : array (k, 2)
-    steps : int
-        1; the other engines do more.
-
-    Returns
-    -------
-    Support
-        `bound` is the smallest float that is not below the exact value, `value` the nearest float.
-
-    Raises
-    ------
-    ValueError
-        If the loop has not two states, or `steps` is not 1.
+    See Also
+    --------
+    Cells : the same in floating point, for any number of steps.
     """
-    V, steps = checked_query(loop, F, V, steps)
-    if steps != 1:
-        raise ValueError(f'the exact engine takes one step; got steps = {steps}; use engine="cells"')
-    best = farthest_steps(loop, F, V)
-    if best is None:
-        return empty_support(len(V), EXACT)
-    value, bound = (np.array([rounded(step.value) for step in best]) for rounded in (nearest, above))
 
-    def witness(k):
-        x, d = ([nearest(entry) for entry in part] for part in (best[k].state, best[k].disturbance))
-        return replay(loop, np.array(x), [best[k].mode], [np.array(d)])
+    name: ClassVar[str] = "exact"
 
-    return Support(value, bound, Lazily(len(V), witness), rests_on=EXACT)
+    def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None) -> Support:
+        """As `Engine.support`: `bound` is the smallest float that is not below the exact value, `value` the nearest.
+
+        `cutoff` and `warm_start` are not used.
+
+        Raises
+        ------
+        ValueError
+            If the loop has not two states, or `steps` is not 1.
+        """
+        V, steps = checked_query(loop, F, V, steps)
+        if steps != 1:
+            raise ValueError(f'the exact engine takes one step; got steps = {steps}; use engine="cells"')
+        best = farthest_steps(loop, F, V)
+        if best is None:
+            return empty_support(len(V), EXACT)
+        value, bound = (np.array([rounded(step.value) for step in best]) for rounded in (nearest, above))
+
+        def witness(k):
+            x, d = ([nearest(entry) for entry in part] for part in (best[k].state, best[k].disturbance))
+            return replay(loop, np.array(x), [best[k].mode], [np.array(d)])
+
+        return Support(value, bound, Lazily(len(V), witness), rests_on=EXACT)
 
 
 def farthest_steps(loop, F, V):

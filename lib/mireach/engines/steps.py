@@ -4,43 +4,17 @@ Floats find a state and a mode. Around the state the loop is affine, on a polyto
 rounding, and one linear program over the rationals gives the state of it that goes farthest.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import binary, dot, fractions, maximize, nearest, rational, strict_point
-from .base import replay
+from .base import Escape, replay
 
 INWARD = 2.0**-30  # share of the way to the middle of a set by which a state is moved, for rounding to be far below
 PULLS = 2.0 ** np.arange(-54, -9, 4)  # shares of the way to the middle of a cell that a rounded state is moved
-
-
-@dataclass(frozen=True)
-class Escape:
-    """A step that leads out of a set, in rational numbers; `successor` replays it.
-
-    Attributes
-    ----------
-    state, disturbance, after : tuple of n Fraction
-        A state of the set, a disturbance of the mode's set, and where they lead: outside the set.
-        The last two are None where the state itself has no successor.
-    mode : int or None
-        Counted from 0.
-    """
-
-    state: tuple
-    mode: int | None = None
-    disturbance: tuple | None = None
-    after: tuple | None = None
-
-    def __str__(self):
-        x = [float(f"{float(value):.6g}") for value in self.state]
-        if self.after is None:
-            return f"x = {x} has no successor: it lies outside the state set, or no region contains it with its input"
-        d, after = ([float(f"{float(value):.6g}") for value in part] for part in (self.disturbance, self.after))
-        return f"x = {x}, mode {self.mode + 1}, d = {d} -> {after}"
 
 
 def successor(loop, state, mode, disturbance):
@@ -159,10 +133,13 @@ class Step:
         return Escape(x, self.mode, d, successor(loop, x, self.mode, d))
 
     def witness(self, loop, v, limit):
-        """A Witness in floats that passes `limit` along v without rounding, from a state that lies in F as it is.
+        """A Witness that passes `limit` along v without rounding, from a state that lies in F as the floats that it is.
 
-        Where no floats do that, such as on a flat F, it is the step rounded to floats.
+        Where no floats do that, such as on a flat F, it is the step rounded to floats. `exact` is the step itself.
         """
+        return replace(self._in_floats(loop, v, limit), exact=self.escape(loop))
+
+    def _in_floats(self, loop, v, limit):
         D = loop.system.modes[self.mode].disturbance
         rows_d = binary(D.H), binary(D.h)
         middle = strict_point((), (), *self.piece), strict_point((), (), *rows_d)

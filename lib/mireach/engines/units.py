@@ -57,7 +57,7 @@ class Units:
         states, disturbances = found.states * self.state, found.disturbances * self.state
         return Witness(states, found.inputs * self.inputs, found.modes, disturbances)
 
-    def support(self, found, factor, resolution):
+    def support(self, found, factor, resolution, query=None):
         """A Support along rows V' in the units of the user, along V."""
         witness = Lazily(len(factor), lambda k: self.witness(found.witness[k]))
         return Support(
@@ -67,13 +67,14 @@ class Units:
             rests_on=found.rests_on,
             resolution=resolution / factor,
             source=found,
+            query=query,
         )
 
-    def stopped(self, stop, factor, resolution):
+    def stopped(self, stop, factor, resolution, query=None):
         """A SolverStopped whose support is in the units of the user."""
         k = len(factor)
         found = stop.support or Support(np.full(k, -np.inf), np.full(k, np.inf), (None,) * k)
-        return SolverStopped(str(stop), self.support(found, factor, resolution))
+        return SolverStopped(str(stop), self.support(found, factor, resolution, query))
 
 
 @lru_cache(maxsize=128)

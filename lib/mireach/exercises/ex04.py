@@ -4,8 +4,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..analysis.invariance import check_rpi
 from ..analysis.reach import outer_step, support
+from ..analysis.rpi import check_rpi
 from ..engines.cvxpy_model import model
 from ..sets.polytope import Polytope
 from ..sets.templates import box_directions

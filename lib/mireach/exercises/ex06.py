@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ..analysis.invariance import check_rpi, safe_set
 from ..analysis.reach import support
+from ..analysis.rpi import check_rpi
+from ..analysis.safe_set import safe_set
 from ..sets.polytope import Polytope
 from ..sets.templates import box_directions, directions
 from ..studies.case_studies import case_study

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ..analysis.invariance import safe_set, terminal_set
 from ..analysis.reach import support
+from ..analysis.safe_set import safe_set
+from ..analysis.terminal_set import terminal_set
 from ..sets.polytope import Polytope
 from ..sets.templates import directions
 from ..studies.case_studies import case_study

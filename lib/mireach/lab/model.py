@@ -11,8 +11,9 @@ from time import perf_counter
 
 import numpy as np
 
-from ..analysis.invariance import SafeSet, TerminalSet, safe_set, terminal_set
 from ..analysis.maximal_set import maximal_safe_set
+from ..analysis.safe_set import SafeSet, safe_set
+from ..analysis.terminal_set import TerminalSet, terminal_set
 from ..checks import require_kind
 from ..sets.polytope import Polytope
 from ..sets.templates import directions

@@ -9,20 +9,14 @@ from time import perf_counter
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..analysis.invariance import (
-    MinimalSet,
-    SafeSet,
-    TerminalSet,
-    UltimateBound,
-    check_rpi,
-    contraction,
-    safe_set,
-    scaled_minimal_set,
-    terminal_set,
-    ultimately_bounded,
-)
+from ..analysis.boundedness import UltimateBound, ultimately_bounded
+from ..analysis.contraction import contraction
 from ..analysis.maximal_set import MaximalSafeSet, maximal_safe_set
+from ..analysis.minimal_set import MinimalSet, scaled_minimal_set
 from ..analysis.reach import outer_reach, support
+from ..analysis.rpi import check_rpi
+from ..analysis.safe_set import SafeSet, safe_set
+from ..analysis.terminal_set import TerminalSet, terminal_set
 from ..certificate.writer import Certificate, make
 from ..files import write_json, write_whole
 from ..sets.polytope import Polytope

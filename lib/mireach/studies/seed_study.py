@@ -13,8 +13,9 @@ from time import perf_counter
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..analysis.invariance import safe_set, terminal_set
 from ..analysis.maximal_set import maximal_safe_set
+from ..analysis.safe_set import safe_set
+from ..analysis.terminal_set import terminal_set
 from ..certificate.writer import write
 from ..checks import whole_number
 from ..engines.cells import cells

@@ -6,7 +6,7 @@ of the state space: affine bounds (`boxes`) settle most of them, and what is lef
 
 A bound is one of boxes, with rounding counted, or the largest of the nodes of a search tree, each proven by weak
 duality: HiGHS proposes multipliers and incumbents and is not believed. Only where a model with many binaries takes more
-than `lp.PROOF_NODES` nodes, HiGHS's own bound is returned, and the support says that it rests on it. A value is
+than `PROOF_NODES` nodes, HiGHS's own bound is returned, and the support says that it rests on it. A value is
 attained by a trajectory that satisfies all constraints in rational arithmetic (`attained`).
 """
 
@@ -17,19 +17,19 @@ from itertools import product
 from os import cpu_count
 from threading import Lock
 from time import perf_counter
+from typing import ClassVar
 
+import highspy
 import numpy as np
 
 from ...checks import positive_number, real_array, whole_number
 from ...errors import SolverError, SolverStopped
 from ...solvers.linear_program import BRANCHED, GAP, MIP_TOLERANCE
 from ..attained import attained
-from ..base import COUNTED, SOLVER, Support, checked_query, empty_support, replay
+from ..base import COUNTED, SOLVER, Engine, Support, checked_query, empty_support, replay
 from ..bounds import METHODS, SAFETY, far_points, proven_support
 from .boxes import Boxes, bound_loop
-from .formulation import Model, build, build_inputs, root_box
-
-__all__ = ["FORMULATIONS", "Model", "build", "support", "violating_state"]
+from .formulation import build, build_inputs, root_box
 
 FORMULATIONS = ("split", "whole", "paper")
 MARGIN = 2e-10  # beside MIP_TOLERANCE and the gap, by which a bound may stay above the value (relative to 1 + it)
@@ -48,126 +48,125 @@ FITTING = 0.7  # boxes of a larger set serve as long as the box around it is not
 SAMPLES = 200  # states from which the first attained values come
 
 
-def support(
-    loop,
-    F,
-    V,
-    steps=1,
-    *,
-    formulation="split",
-    bounds="lp",
-    cutoff=None,
-    known=None,
-    time_limit=None,
-    gap=GAP,
-    jobs=None,
-):
-    """h of R_k(F) along the rows of V by the MILP of Lemma 2, for any k, n and m.
+@dataclass(frozen=True)
+class Milp(Engine):
+    """h of R_k(F) by the MILP of Lemma 2, for any number of states, inputs and steps; HiGHS solves the programs.
 
     Parameters
     ----------
-    loop : ClosedLoop
-    F : Polytope
-        States outside X have no successor: F & X counts.
-    V : array (k, n)
-    steps : int
-        k; the model has k times as many binaries.
     formulation : "split", "whole" or "paper"
         How the question is put to the solver. "split": F & X is halved until few binaries are left in each box that
         may hold the maximum. "whole": one model. "paper": one model as in the paper, with s + sum of p_i w_i binaries
-        a step and big-M by interval arithmetic, one for each layer and one for the plant.
+        per step and big-M by interval arithmetic, one for each layer and one for the plant.
     bounds : "interval", "lp" or "tight"
         Where the big-M of "whole" come from: ranges of single variables; LPs over what has been built so far; or
         MILPs over that, stopped early, where the LP leaves a sign open (see `bounds.upper_bound`). For "split" only
         boxes that still need many binaries ask for it; "paper" takes intervals.
-    cutoff : array (k,) or None
-        Where only "is h at most this?" is asked: what is shown to lie below is not looked at further, so that `bound`
-        may then be anything between h and the cutoff. It is not used by "whole" and "paper".
-    known : Support, array (k,) or None
-        The answer for a larger set, and the same V and steps, or its bounds alone: they hold here, and where simulation
-        attains them, nothing is solved. Of an answer by "split" the boxes and their bounds are taken on as well.
     time_limit : float or None
-        Seconds for the whole call: all directions, all steps and the building of models. It is looked at between
-        linear programs, so that a call may take a little longer.
+        Seconds for the whole call: all directions, all steps and the building of models. It is checked between linear
+        programs, so that a call may take a little longer.
     gap : float
-        Relative gap between bound and value at which the solver may stop. HiGHS's own default of 1e-4
-        would be far too loose for sets that are compared with each other.
+        Relative gap between bound and value at which the solver may stop. The default of HiGHS, 1e-4, is too large for
+        sets that are compared with each other.
     jobs : int or None
-        Threads, among which the directions are shared out; the answer does not depend on it. None is one a core where a
-        model has more binaries than are branched on here, else one in all: only HiGHS runs beside other threads, and
-        the small linear programs of one step do not keep it busy.
-
-    Returns
-    -------
-    Support
-        `bound` is that of the boxes, or the dual bound of `LinearProgram.maximize_integer`. `value` is attained by a
-        trajectory in rational arithmetic and rounded downward; the witness is that trajectory, rounded to floats. It
-        is -inf, without a witness, where no such trajectory is found. `rests_on` is COUNTED, or SOLVER if a bound of
-        HiGHS that is not proven contributes. By "split" it is a `BoxSupport`, which helps as `known` for a smaller set.
+        Threads that share the directions; the answer does not depend on it. None is one per core where a model has more
+        binaries than are branched on here, else one: only HiGHS runs beside other threads, and the small linear
+        programs of one step do not keep it busy.
 
     Raises
     ------
-    SolverStopped
-        If the time limit came first; its `support` holds what is known, and `bound` is proven.
-    SolverError
-        If a bound cannot be right because a trajectory passes it.
     ValueError
-        If an argument is not as above.
+        If a setting is not as above.
+
+    See Also
+    --------
+    Cvxpy : the paper's formulation, to be read beside the paper.
     """
-    V, steps = checked_query(loop, F, V, steps)
-    gap = float(real_array(gap, "gap", 0))
-    if gap < 0:
-        raise ValueError(f"gap must not be negative; got {gap}")
-    if formulation not in FORMULATIONS:
-        raise ValueError(f"formulation must be one of {FORMULATIONS}; got {formulation!r}")
-    if bounds not in METHODS:
-        raise ValueError(f"bounds must be one of {METHODS}; got {bounds!r}")
-    end = np.inf if time_limit is None else perf_counter() + positive_number(time_limit, "time_limit")
-    before, given = known if isinstance(known, BoxSupport) else None, known
-    known = known.bound if isinstance(known, Support) else known
-    cutoff, known = _one_a_row(cutoff, "cutoff", V, -np.inf), _one_a_row(known, "known", V, np.inf)
-    jobs = None if jobs is None else whole_number(jobs, "jobs", 1)
-    X = loop.system.state_set
-    start = F & X
-    if start.is_empty:
-        return empty_support(len(V))
-    if before is not None and before.boxes.lower.shape[1] != V.shape[1] * steps:
-        raise ValueError(f"known is an answer for another number of steps than {steps}")
-    ask = _Ask(loop, start, V, steps, bounds, gap, end, known)
-    if formulation == "split":
-        answers, covering = _split(ask, cutoff, jobs, before)
-    else:
-        answers, covering = _at_once(ask, formulation, jobs), None
-    bound = np.array([answer.bound for answer in answers])
-    reached = [attained(loop, start, answer.v, answer.paths, end=end) for answer in answers]
-    if (bound == -np.inf).any() and all(one is None for one in reached):
-        return empty_support(len(V))
-    value = np.array([-np.inf if one is None else one.value for one in reached])
-    witness = tuple(None if one is None else one.witness() for one in reached)
-    _require_consistent(V, bound, witness)
-    found = value, np.maximum(bound, value), witness
-    rests_on = _rests_on(given, all(answer.proven for answer in answers))
-    found = Support(*found, rests_on=rests_on) if covering is None else BoxSupport(*found, *covering, rests_on=rests_on)
-    if not all(answer.finished for answer in answers):
-        raise SolverStopped(_stopped(time_limit), found)
-    return found
+
+    name: ClassVar[str] = "milp"
+    resolution: ClassVar[float] = 1e-6
+
+    formulation: str = "split"
+    bounds: str = "lp"
+    time_limit: float | None = None
+    gap: float = GAP
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.formulation not in FORMULATIONS:
+            raise ValueError(f"formulation must be one of {FORMULATIONS}; got {self.formulation!r}")
+        if self.bounds not in METHODS:
+            raise ValueError(f"bounds must be one of {METHODS}; got {self.bounds!r}")
+        if self.time_limit is not None:
+            positive_number(self.time_limit, "time_limit")
+        if not float(real_array(self.gap, "gap", 0)) >= 0:
+            raise ValueError(f"gap must not be negative; got {self.gap}")
+        if self.jobs is not None:
+            whole_number(self.jobs, "jobs", 1)
+
+    @property
+    def software(self) -> str:
+        """HiGHS with its version."""
+        return f"HiGHS {highspy.Highs().version()}"
+
+    def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None) -> Support:
+        """As `Engine.support`.
+
+        Notes
+        -----
+        `bound` is that of the boxes, or the dual bound of `LinearProgram.maximize_integer`. `value` is attained by a
+        trajectory in rational arithmetic and rounded downward; the witness is that trajectory, rounded to floats. It
+        is -inf, without a witness, where no such trajectory is found. `rests_on` is COUNTED, or SOLVER if a bound of
+        HiGHS that is not proven contributes. "split" answers with a `BoxSupport`, whose boxes and bounds are the warm
+        start for a smaller set; of any other `warm_start` the bounds are used. The cutoff is not used by "whole" and
+        "paper".
+
+        Raises
+        ------
+        SolverStopped
+            If the time limit came first; its `support` holds what was found, and `bound` is proven.
+        SolverError
+            If a bound cannot be right because a trajectory passes it.
+        """
+        V, steps = checked_query(loop, F, V, steps)
+        end = np.inf if self.time_limit is None else perf_counter() + self.time_limit
+        known = np.full(len(V), np.inf) if warm_start is None else warm_start.bound
+        cutoff = np.full(len(V), -np.inf) if cutoff is None else real_array(cutoff, "cutoff", 1)
+        X = loop.system.state_set
+        start = F & X
+        if start.is_empty:
+            return empty_support(len(V))
+        ask = _Ask(loop, start, V, steps, self.bounds, self.gap, end, known)
+        if self.formulation == "split":
+            before = warm_start if isinstance(warm_start, BoxSupport) else None
+            answers, covering = _split(ask, cutoff, self.jobs, before)
+        else:
+            answers, covering = _at_once(ask, self.formulation, self.jobs), None
+        bound = np.array([answer.bound for answer in answers])
+        reached = [attained(loop, start, answer.v, answer.paths, end=end) for answer in answers]
+        if (bound == -np.inf).any() and all(one is None for one in reached):
+            return empty_support(len(V))
+        value = np.array([-np.inf if one is None else one.value for one in reached])
+        witness = tuple(None if one is None else one.witness() for one in reached)
+        _require_consistent(V, bound, witness)
+        found = value, np.maximum(bound, value), witness
+        rests_on = _rests_on(warm_start, all(answer.proven for answer in answers))
+        if covering is None:
+            found = Support(*found, rests_on=rests_on)
+        else:
+            found = BoxSupport(*found, *covering, rests_on=rests_on)
+        if not all(answer.finished for answer in answers):
+            raise SolverStopped(_stopped(self.time_limit), found)
+        return found
 
 
 def _stopped(time_limit):
     return f"the MILP was stopped by time_limit = {time_limit} s; allow more time"
 
 
-def _rests_on(known, proven):
-    """What an answer rests on, given whether its own bounds are proven and what was known before."""
-    return SOLVER if not proven or (isinstance(known, Support) and known.rests_on == SOLVER) else COUNTED
-
-
-def _one_a_row(values, name, V, missing):
-    """An argument with one number for each row of V, as an array (k,)."""
-    values = np.full(len(V), missing) if values is None else np.asarray(values, float)
-    if values.shape != (len(V),):
-        raise ValueError(f"{name} has shape {values.shape}, but V has {len(V)} rows; give one number each")
-    return values
+def _rests_on(warm_start, proven):
+    """What an answer rests on, given its warm start and whether its own bounds are proven."""
+    return SOLVER if not proven or (warm_start is not None and warm_start.rests_on == SOLVER) else COUNTED
 
 
 @dataclass(frozen=True, eq=False)

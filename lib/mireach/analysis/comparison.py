@@ -7,16 +7,19 @@ a step in rational numbers. What is left for more than two states rests on the r
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arithmetic.rational import binary
-from ..checks import real_array
 from ..engines import exact, steps
-from ..engines.base import COUNTED, EXACT, SOLVER, Support, Witness
+from ..engines.base import COUNTED, EXACT, SOLVER, Engine, Support, Witness
+from ..engines.exact import Exact
+from ..engines.registry import engine_for
 from ..engines.units import own_units
 from ..errors import SolverStopped
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from .reach import RESOLUTION, default_engine, support
+from ..typing import Array
+from .reach import support
 
 CLEAR = 1e-9  # by which an attained value passes a limit that floats alone call passed (relative to the size of X)
 WITHIN = "to within {:.0e} of the size of X, {}"
@@ -45,47 +48,43 @@ class Comparison:
 
     loop: ClosedLoop
     F: Polytope
-    V: np.ndarray
-    limit: np.ndarray
+    V: Array
+    limit: Array
     found: Support
-    bound: np.ndarray
-    holds: np.ndarray
+    bound: Array
+    holds: NDArray[np.bool_]
     settled: str
     stopped: str = ""
-    _steps: dict = field(default_factory=dict, repr=False)
+    _steps: dict[int, Witness | None] = field(default_factory=dict, repr=False)
 
     @property
-    def weights(self):
+    def weights(self) -> Array:
         """Factors (k,) that make excesses along different rows comparable, relative to the size of X."""
         return own_units(self.loop).rows(self.V)[1]
 
     @property
-    def worst(self):
+    def worst(self) -> int:
         """The row whose bound passes its limit by most."""
         return int(np.argmax((self.bound - self.limit) * self.weights))
 
-    def escape(self, row):
-        """A step from F that passes the limit of a row without rounding: (Escape, Witness), or None."""
+    def escape(self, row: int) -> Witness | None:
+        """A step from F that passes the limit of a row without rounding, or None."""
         if row not in self._steps:
             step = self._passing(row)
-            if step is None:
-                self._steps[row] = None
-            else:
-                witness = step.witness(self.loop, self.V[row], self.limit[row])
-                self._steps[row] = step.escape(self.loop), witness
+            self._steps[row] = None if step is None else step.witness(self.loop, self.V[row], self.limit[row])
         return self._steps[row]
 
-    def first_escape(self):
-        """(row, Escape, Witness) of a row that is passed, the worst one first, or None."""
+    def first_escape(self) -> tuple[int, Witness] | None:
+        """A row that is passed, the worst one first, and a step that passes it; None if none is found."""
         excess = (self.found.value - self.limit) * self.weights
         for row in np.argsort(-excess, kind="stable").tolist():
             if not self.holds[row]:
-                found = self.escape(row)
-                if found is not None:
-                    return row, *found
+                witness = self.escape(row)
+                if witness is not None:
+                    return row, witness
         return None
 
-    def _passing(self, row):
+    def _passing(self, row: int) -> steps.Step | None:
         v, limit, witness = self.V[row], binary(self.limit[row]), self.found.witness[row]
         if witness is not None:
             step = steps.farthest_step(self.loop, self.F, v, witness.states[0], int(witness.modes[0]))
@@ -98,7 +97,18 @@ class Comparison:
         return None
 
 
-def compare(loop, F, V, limit, engine=None, tol=None, thorough=False, **options):
+def compare(
+    loop: ClosedLoop,
+    F: Polytope,
+    V: Array,
+    limit: Array,
+    engine: Engine | str | None = None,
+    tol: float | None = None,
+    thorough: bool = False,
+    *,
+    cutoff: Array | None = None,
+    warm_start: Support | None = None,
+) -> Comparison:
     """Compare R_1(F) with half-planes V x <= limit.
 
     Parameters
@@ -108,7 +118,7 @@ def compare(loop, F, V, limit, engine=None, tol=None, thorough=False, **options)
     V : array (k, n)
     limit : array (k,)
         inf where nothing is asked.
-    engine : str or None
+    engine : Engine, str or None
         As in `reach.support`.
     tol : float or None
         A row holds if its bound is at most limit + tol (units of V x). None is what the engine resolves, and for two
@@ -116,17 +126,17 @@ def compare(loop, F, V, limit, engine=None, tol=None, thorough=False, **options)
     thorough : bool
         Whether exact arithmetic shall decide about every row in doubt, even where floats see another one passed
         clearly, so that not all of them hold.
-    **options
-        Passed to the engine.
+    cutoff, warm_start
+        As in `reach.support`.
 
     Returns
     -------
     Comparison
     """
-    engine = default_engine(loop) if engine is None else engine
+    engine = engine_for(loop, engine)
     asked = np.isfinite(limit)
     try:
-        found, stopped = support(loop, F, V, engine=engine, **options), ""
+        found, stopped = support(loop, F, V, engine=engine, cutoff=cutoff, warm_start=warm_start), ""
     except SolverStopped as stop:
         found, stopped = stop.support, f"; {stop}"
     bound, rests = found.bound, found.rests_on
@@ -141,33 +151,17 @@ def compare(loop, F, V, limit, engine=None, tol=None, thorough=False, **options)
             if thorough or not clear.any():
                 rows = np.flatnonzero(~holds)
                 bound = bound.copy()
-                bound[rows] = support(loop, F, V[rows], engine="exact").bound
+                bound[rows] = support(loop, F, V[rows], engine=Exact()).bound
                 holds, settled = holds | (bound <= limit), EXACT
-        elif RESOLUTION[engine]:
+        elif engine.resolution:
             holds = ~asked | (bound <= limit + found.resolution)
-            settled = WITHIN.format(RESOLUTION[engine], rests)
-    elif tol is None and rests == SOLVER and RESOLUTION[engine]:
-        settled = WITHIN.format(RESOLUTION[engine], rests)
+            settled = WITHIN.format(engine.resolution, rests)
+    elif tol is None and rests == SOLVER and engine.resolution:
+        settled = WITHIN.format(engine.resolution, rests)
     return Comparison(loop, F, V, limit, found, bound, holds, settled, stopped)
 
 
-def weaker(*settled):
+def weaker(*settled: str) -> str:
     """The weakest of several things that a result rests on."""
     order = {EXACT: 0, COUNTED: 1}
     return max(settled, key=lambda one: 3 if SOLVER in one else order.get(one, 2), default=EXACT)
-
-
-def standing(loop, x):
-    """A trajectory of no steps at x (n,), as a Witness."""
-    n, m = loop.system.state_size, loop.system.input_size
-    return Witness(np.asarray(x)[None], np.zeros((0, m)), np.zeros(0, int), np.zeros((0, n)))
-
-
-def tolerance(tol):
-    """An argument `tol`, checked."""
-    if tol is None:
-        return None
-    tol = float(real_array(tol, "tol", 0))
-    if tol < 0:
-        raise ValueError(f"tol must not be negative; got {tol}")
-    return tol

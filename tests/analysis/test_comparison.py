@@ -7,8 +7,8 @@ import pytest
 from loops import affine_loop
 
 import mireach as mr
-from mireach import Polytope, box_directions
-from mireach.analysis.settle import compare
+from mireach import Exact, Polytope, box_directions
+from mireach.analysis.comparison import compare
 from mireach.engines.base import COUNTED, EXACT, SOLVER, Support
 
 
@@ -16,13 +16,13 @@ def answering(monkeypatch, bound, value, resolution=0.0, rests_on=COUNTED):
     """Let every engine but the exact one answer with the same numbers along every row, without a witness."""
 
     def support(loop, F, V, engine, **options):
-        if engine == "exact":
+        if engine == Exact():
             return mr.support(loop, F, V, engine=engine)
         k = len(V)
         found = Support(np.full(k, value), np.full(k, bound), (None,) * k, rests_on=rests_on)
         return replace(found, resolution=np.full(k, resolution))
 
-    monkeypatch.setattr("mireach.analysis.settle.support", support)
+    monkeypatch.setattr("mireach.analysis.comparison.support", support)
 
 
 def asked(a, n, engine):

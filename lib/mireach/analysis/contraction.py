@@ -1,0 +1,119 @@
+"""Theorem 1: how far an RPI set may be enlarged so that one step still leads into it."""
+
+import numpy as np
+
+from ..arithmetic.rational import above, below, binary, dot
+from ..checks import positive_number, require_kind
+from ..engines.base import Engine
+from ..engines.registry import engine_for
+from ..sets.convex_set import ROUNDING
+from ..sets.polytope import Polytope
+from ..systems.loop import ClosedLoop
+from ..typing import Array
+from .arguments import Centre, centre_point
+from .reach import support
+
+
+def contraction(
+    loop: ClosedLoop,
+    R: Polytope,
+    centre: Centre = "origin",
+    engine: Engine | str | None = None,
+    *,
+    largest: float = 2.0,
+    accuracy: float = 1e-9,
+) -> float:
+    """Largest alpha found with R_1(c + alpha (R - c)) in R, all that the proof of Theorem 1 uses of alpha.
+
+    Eq. StabCondFmin, alpha R_k-bar in R_(k-1)-bar, implies it. It can hold with alpha > 1 where some facets of
+    the sequence have come to rest, so that eq. StabCondFmin holds with alpha = 1 only.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    R : Polytope
+        An RPI set, such as a terminal set.
+    centre : "origin", "equilibrium" or array (n,)
+        As in `terminal_set`.
+    engine : Engine, str or None
+        As in `support`.
+    largest : float
+        Where the search ends.
+    accuracy : float
+        Of the bisection, in units of alpha; what is returned is proven, up to the engine's own accuracy.
+
+    Returns
+    -------
+    float
+        Above 1 the set R is stable. 1 means that none above 1 was found, not that R is RPI; nan if the centre
+        is not inside R.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of another kind.
+    ValueError
+        If `largest` or `accuracy` is not positive, or as `support`.
+
+    See Also
+    --------
+    terminal_set : gives alpha of eq. StabCondFmin.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> loop = mr.case_study("double_integrator").loop
+    >>> R = mr.terminal_set(loop, mr.safe_set(loop)).set
+    >>> mr.contraction(loop, R, accuracy=1e-3) >= 1
+    True
+    """
+    require_kind(R, Polytope, "R")
+    largest, accuracy = positive_number(largest, "largest"), positive_number(accuracy, "accuracy")
+    c, X = centre_point(loop, centre), loop.system.state_set
+    engine = engine_for(loop, engine)
+    if (R.H @ c >= R.h).any():
+        return np.nan
+
+    def holds(alpha):
+        grown = scaled(R, alpha, c)
+        return grown.is_subset(X) and (support(loop, grown, R.H, engine=engine, cutoff=R.h).bound <= R.h).all()
+
+    low, high = 1.0, largest
+    while high - low > accuracy:
+        middle = (low + high) / 2
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def growth(V: Array, reach: Array, before: Array, c: Array) -> float:
+    """Largest alpha with alpha (R - c) in R_before - c, rounded down, for sets with rows V; nan if c is not inside R.
+
+    `reach` is the support function of R along V, and `before` has the offsets of R_before. Floats leave out the rows
+    that cannot have the smallest ratio, their rounding counted; the others are compared in rational arithmetic.
+    """
+    middle, error = V @ c, rounding(V, c, reach, before)
+    top, bottom = before - middle, reach - middle
+    rows = np.arange(len(V))
+    if (bottom > 2 * error).all():
+        least = (top - error) / np.where(top > error, bottom + error, bottom - error)
+        most = (top + error) / np.where(top > -error, bottom - error, bottom + error)
+        rows = np.flatnonzero(least - most.min() <= 8 * ROUNDING * (np.abs(least) + np.abs(most.min())))
+    c, shares = binary(c), []
+    for r in rows:
+        value, inner = dot(binary(V[r]), c), binary(reach[r])
+        if inner <= value:
+            return np.nan
+        shares.append((binary(before[r]) - value) / (inner - value))
+    return below(min(shares))
+
+
+def rounding(V: Array, c: Array, h: Array, other: Array) -> Array:
+    """What floats round off at most in h - V c and in other - V c: array (k,)."""
+    return (len(c) + 4) * ROUNDING * (np.abs(V) @ np.abs(c) + np.maximum(np.abs(h), np.abs(other)))
+
+
+def scaled(R: Polytope, s: float, c: Array) -> Polytope:
+    """c + s (R - c), its offsets rounded upward."""
+    s, centre = binary(s), binary(c)
+    offsets = [above(s * b + (1 - s) * dot(a, centre)) for a, b in zip(binary(R.H), binary(R.h))]
+    return Polytope(R.H, offsets)

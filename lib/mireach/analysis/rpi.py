@@ -1,0 +1,159 @@
+"""Whether a set is robustly positively invariant (RPI): R_1(F) lies in F."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arithmetic.rational import binary, dot, fractions, nearest, rational, strict_point
+from ..checks import require_kind
+from ..engines.base import EXACT, Engine, Escape, Witness, standing
+from ..engines.registry import engine_for
+from ..engines.units import own_units
+from ..results import Result, Verdict
+from ..sets.polytope import Polytope
+from ..systems.loop import ClosedLoop
+from ..typing import Array
+from .arguments import tolerance
+from .comparison import CLEAR, Comparison, compare
+
+
+@dataclass(frozen=True, eq=False)
+class RPICheck(Result):
+    """Answer of `check_rpi`.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    margin : array (l,)
+        At most h - h of R_1(F) along H, from the proven bound; negative where a facet is not shown to hold.
+        The MILP stops as soon as a facet is proven, so that its positive margins may be far smaller than the true
+        distance; the cells give that.
+    witness : Witness or None
+        A step that leaves F, where the verdict is "refuted"; no step but the state alone, where F has states
+        outside X. Its state and disturbance lie in their sets as the floats that they are, and the step passes
+        the facet without rounding, unless F or D is so thin that no floats do. `witness.exact` is the step in
+        fractions.
+    reason : str
+    settled : str
+        What the verdict rests on: "exact arithmetic", "rounding counted", or a tolerance in words.
+    """
+
+    verdict: Verdict
+    margin: Array
+    witness: Witness | None
+    reason: str
+    settled: str = ""
+
+    def __str__(self) -> str:
+        return f"RPI: {self.verdict}; {self.reason}"
+
+    @property
+    def escape(self) -> Escape | None:
+        """The step of the witness in fractions."""
+        return None if self.witness is None else self.witness.exact
+
+
+def check_rpi(
+    loop: ClosedLoop, F: Polytope, engine: Engine | str | None = None, *, tol: float | None = None
+) -> RPICheck:
+    """Whether R_1(F) lies in F (Def. RPI), by h of R_1(F) along H <= h for every facet of F.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+    engine : Engine, str or None
+        As in `support`.
+    tol : float or None
+        A facet holds if bound <= h + tol, in units of h. None allows nothing for two states, where exact arithmetic
+        decides what rounding leaves in doubt, and the engine's resolution for more: 1e-6 of the size of X for
+        the MILP.
+
+    Returns
+    -------
+    RPICheck
+
+    Raises
+    ------
+    TypeError
+        If an argument is of another kind.
+    ValueError
+        If F is empty, Phi leaves U, or an argument does not fit.
+
+    See Also
+    --------
+    safe_set : finds an RPI set.
+    prove_rpi : the same for unions of polytopes in the plane.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> loop = mr.case_study("pwa").loop
+    >>> mr.check_rpi(loop, mr.safe_set(loop).set).verdict == "proven"
+    True
+    """
+    require_kind(loop, ClosedLoop, "loop")
+    require_kind(F, Polytope, "F")
+    engine, tol = engine_for(loop, engine), tolerance(tol)
+    if F.is_empty:
+        raise ValueError("F is empty; there is nothing to check")
+    beyond = outside(loop, F)
+    if beyond is not None:
+        return beyond
+    found = compare(loop, F, F.H, F.h, engine, tol, cutoff=F.h)
+    escape = None if found.holds.all() else found.first_escape()
+    if escape is None and not found.holds.all():
+        found = compare(loop, F, F.H, F.h, engine, tol, thorough=True, cutoff=F.h)
+    margin = F.h - found.bound
+    if found.holds.all():
+        within = "" if (margin >= 0).all() else f" to within {-margin.min():.1g}"
+        return RPICheck(Verdict.PROVEN, margin, None, f"R1(F) lies in F{within}; {found.settled}", found.settled)
+    if escape is not None:
+        row, witness = escape
+        excess = dot(binary(F.H[row]), rational(witness.exact.after)) - binary(F.h[row])
+        reason = f"facet {row + 1} is passed by {nearest(excess):.3g}: {witness}{decimal_hint(loop, F.H[row], excess)}"
+        return RPICheck(Verdict.REFUTED, margin, witness, reason, EXACT)
+    worst = found.worst
+    gap = f"bound - h = {-margin[worst]:.3g}, attained - h = {found.found.value[worst] - F.h[worst]:.3g}"
+    return RPICheck(Verdict.UNKNOWN, margin, None, f"facet {worst + 1} is not settled: {gap}{found.stopped}")
+
+
+# -- parts --------------------------------------------------------------------------------------------
+
+
+def outside(loop: ClosedLoop, F: Polytope) -> RPICheck | None:
+    """A refuted RPICheck if F has a state outside X, or None."""
+    X = loop.system.state_set
+    if F.is_subset(X):
+        return None
+    for row, (a, b) in enumerate(zip(X.H, X.h)):
+        x = F.exact_maximum(a)
+        if x.value > binary(b):
+            state = x.point or strict_point(binary(F.H), binary(F.h), [tuple(-e for e in binary(a))], [-binary(b)])
+            reason = (
+                f"F holds states outside the state set, beyond its row {row + 1}, where the loop has no successor"
+                f"{'' if x.point is None else decimal_hint(loop, a, x.value - binary(b))}"
+            )
+            floats = np.array([nearest(entry) for entry in state])
+            nothing = np.full(len(F.h), -np.inf)
+            witness = standing(loop, floats, Escape(fractions(state)))
+            return RPICheck(Verdict.REFUTED, nothing, witness, reason, EXACT)
+    return None
+
+
+def decimal_hint(loop: ClosedLoop, v: Array, excess) -> str:
+    """What to add to a message where a limit is passed by no more than the rounding of decimals to floats."""
+    weight = own_units(loop).rows(np.asarray(v, float)[None])[1][0]
+    if abs(nearest(excess)) * weight > CLEAR:
+        return ""
+    return "; this is as little as the rounding of a decimal: every number counts as the float that it is"
+
+
+def require_rpi(loop: ClosedLoop, F: Polytope, V: Array, engine: Engine, tol: float | None) -> Comparison:
+    """The Comparison of R_1(F) with the rows of F among V; ValueError unless F lies in X and is RPI for this loop."""
+    beyond = outside(loop, F)
+    found = None if beyond is not None else compare(loop, F, V, F.offsets(V), engine, tol)
+    if found is None or not found.holds.all():
+        reason = beyond.reason if found is None else check_rpi(loop, F, engine, tol=tol).reason
+        raise ValueError(f"the set to start from is not shown to be RPI for this loop: {reason}")
+    return found

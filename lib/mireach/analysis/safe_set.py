@@ -1,0 +1,164 @@
+"""The safe set F_max (Prop. Fmax): the largest RPI set that the template iteration finds within X."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from tqdm.auto import tqdm
+
+from ..arithmetic.rational import binary, dot, nearest, rational
+from ..checks import require_kind, whole_number
+from ..engines.base import EXACT, SOLVER, Engine, Support, Witness
+from ..engines.registry import engine_for
+from ..engines.units import own_units
+from ..results import Result, Verdict
+from ..sets.polytope import Polytope
+from ..systems.loop import ClosedLoop
+from ..typing import ArrayLike
+from .arguments import template, tolerance, with_rows
+from .comparison import compare
+from .rpi import decimal_hint
+
+
+@dataclass(frozen=True, eq=False)
+class SafeSet(Result):
+    """Answer of `safe_set`.
+
+    Attributes
+    ----------
+    set : Polytope or None
+        F_max; None if none was found.
+    iterations : int
+        k with F_max = F_k.
+    history : list of Polytope
+        F_0 = X, F_1, ...
+    verdict : Verdict
+        "refuted": the sequence has come to a set that it cannot leave and that is not RPI, or to the
+        empty set, so it finds none with this template.
+    reason : str
+    witness : Witness or None
+        Where no set was found: a state of the last F_k, its input, mode and disturbance, whose image
+        leaves X.
+    settled : str
+        As in `RPICheck`.
+    """
+
+    set: Polytope | None
+    iterations: int
+    history: list[Polytope]
+    verdict: Verdict
+    reason: str
+    witness: Witness | None
+    settled: str = ""
+
+    def __str__(self) -> str:
+        return f"safe set: {self.verdict}; {self.reason}"
+
+
+def safe_set(
+    loop: ClosedLoop,
+    C: ArrayLike | None = None,
+    engine: Engine | str | None = None,
+    *,
+    max_iterations: int = 200,
+    tol: float | None = None,
+    progress: bool = False,
+) -> SafeSet:
+    """F_max of Prop. Fmax: iterate F_(k+1) = R_1-bar(F_k) & X from F_0 = X until R_1(F_k) lies in X (eq. Fk).
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    C : array (l, n) or None
+        Template; None is 8 directions in the plane and (I, -I) otherwise. Rows of X that it lacks are
+        added: the sets lie in X.
+    engine : Engine, str or None
+        As in `support`.
+    max_iterations : int
+    tol : float or None
+        As in `check_rpi`.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    SafeSet
+
+    Raises
+    ------
+    TypeError
+        If an argument is of another kind.
+    ValueError
+        If Phi leaves U, or an argument does not fit.
+
+    See Also
+    --------
+    terminal_set : the set that is reached from F_max.
+    maximal_safe_set : the exact maximal RPI set in the plane, without a template.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> print(mr.safe_set(mr.case_study("pwa").loop, mr.directions(8)))
+    safe set: proven; R1(F1) lies in X, so F1 is RPI; rounding counted
+
+    Notes
+    -----
+    F_(k+1) is a subset of F_k, so R_1-bar(F_k) is one of F_k exactly when it is one of X. What remains
+    of R_1(F_k) in F_k follows by monotonicity: F_k in F_(k-1) gives R_1(F_k) in R_1-bar(F_(k-1)).
+    """
+    max_iterations = whole_number(max_iterations, "max_iterations", 0)
+    V = with_rows(template(loop, C), loop.system.state_set.H)
+    engine, tol, X = engine_for(loop, engine), tolerance(tol), loop.system.state_set
+    limit, weights = X.offsets(V), own_units(loop).rows(V)[1]
+    h, history = X.bound(V), [X]
+    image: Support | None = None
+    believed = False  # whether a set of the history rests on a solver
+    with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
+        for k in range(max_iterations + 1):
+            found = compare(loop, history[-1], V, limit, engine, tol, warm_start=image)
+            if found.stopped:
+                return SafeSet(None, k, history, Verdict.UNKNOWN, found.stopped.removeprefix("; "), None)
+            if found.holds.all():
+                if believed:  # F_k may be smaller than the image of F_(k-1): that it is RPI is settled for itself
+                    found = compare(loop, history[-1], V, history[-1].offsets(V), engine, tol)
+                if not found.holds.all():
+                    reason = f"R1(F{k}) lies in X, but not in F{k}: a bound that rests on {SOLVER} was wrong"
+                    return SafeSet(None, k, history, Verdict.UNKNOWN, reason, None)
+                reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
+                return SafeSet(history[-1], k, history, Verdict.PROVEN, reason, None, found.settled)
+            image, smaller = found.found, np.minimum(found.bound, h)
+            believed |= image.rests_on == SOLVER
+            following = Polytope(V, smaller)
+            rests = (smaller >= h - (image.resolution if tol is None else tol)).all()
+            if rests or following.is_empty or k == max_iterations:
+                break
+            h, history = smaller, [*history, following]
+            bar.update()
+    escape, worst = found.first_escape(), found.worst
+    excess, witness = (found.bound - limit)[worst], image.witness[worst]
+    if escape is not None:
+        worst, witness = escape
+        exact_excess = dot(binary(V[worst]), rational(witness.exact.after)) - binary(limit[worst])
+        excess, hint = nearest(exact_excess), decimal_hint(loop, V[worst], exact_excess)
+    leaves = f"R1(F{k}) leaves X by {excess:.3g}: {witness}{hint if escape is not None else ''}"
+    if rests:
+        still = (smaller >= h).all()
+        verdict = Verdict.REFUTED if escape is not None and still else Verdict.UNKNOWN
+        within = "" if still else f" to within {((h - smaller) * weights).max():.1g} of the size of X"
+        reason = f"F{k + 1} = F{k}{within}, yet {leaves}"
+    elif following.is_empty:
+        verdict, reason = Verdict.REFUTED, f"F{k + 1} is empty: {leaves}"
+    else:
+        verdict, reason = Verdict.UNKNOWN, f"max_iterations = {max_iterations} came first; {leaves}"
+    return SafeSet(None, k, history, verdict, reason, witness, EXACT if verdict is Verdict.REFUTED else "")
+
+
+def set_to_start_from(safe: SafeSet | Polytope) -> Polytope:
+    """The Polytope of a SafeSet, or the Polytope itself."""
+    require_kind(safe, (SafeSet, Polytope), "safe")
+    if isinstance(safe, SafeSet) and safe.verdict is not Verdict.PROVEN:
+        raise ValueError(f"there is no safe set to start from: {safe.reason}")
+    F = safe.set if isinstance(safe, SafeSet) else safe
+    if F is None or F.is_empty:
+        raise ValueError("the set to start from is empty")
+    return F

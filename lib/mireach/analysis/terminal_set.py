@@ -1,0 +1,223 @@
+"""The terminal set R_min-bar (eq. RminOver): where every trajectory from F_max ends, with alpha of Theorem 1."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from tqdm.auto import tqdm
+
+from ..arithmetic.rational import binary
+from ..checks import positive_number, whole_number
+from ..engines import exact
+from ..engines.base import Engine
+from ..engines.registry import engine_for
+from ..engines.steps import attained, farthest_step
+from ..results import Result
+from ..sets.polytope import Polytope
+from ..systems.loop import ClosedLoop
+from ..typing import Array, ArrayLike
+from .arguments import Centre, centre_point, template, tolerance, with_rows
+from .comparison import weaker
+from .contraction import growth, rounding, scaled
+from .reach import support
+from .rpi import require_rpi
+from .safe_set import SafeSet, set_to_start_from
+
+
+@dataclass(frozen=True, eq=False)
+class TerminalSet(Result):
+    """Answer of `terminal_set`.
+
+    Attributes
+    ----------
+    set : Polytope
+        R_k-bar(F_max), RPI and reached from all of F_max within `steps` steps, whatever `criterion` says.
+    steps : int
+        The k of it.
+    history : list of Polytope
+        R_0-bar = F_max, R_1-bar, ..., `set`.
+    criterion : bool
+        Whether eq. TerminationFmin holds about `centre`: the set is then within 1 + `epsilon` of the limit.
+    reason : str
+        Why the sequence ended.
+    epsilon : float
+    centre : array (n,)
+    alpha : float
+        Largest alpha with alpha R_k-bar in R_(k-1)-bar, both seen from `centre` (eq. StabCondFmin);
+        nan if the centre is not inside R_k-bar.
+    delta_max : float
+        Radius of the tube of Theorem 1's proof (units of x); nan with alpha.
+    stable : bool
+        Theorem 1's verdict at k = `steps`: alpha > 1.
+    alphas : array (steps,)
+        alpha at k = 1, ..., `steps`, rounded down.
+    settled : str
+        What it rests on that every set of the sequence is RPI and reached from F_max, as in `RPICheck`.
+    """
+
+    set: Polytope
+    steps: int
+    history: list[Polytope]
+    criterion: bool
+    reason: str
+    epsilon: float
+    centre: Array
+    alpha: float
+    delta_max: float
+    stable: bool
+    alphas: Array
+    settled: str = ""
+
+    def __str__(self) -> str:
+        return f"terminal set: R{self.steps} of {len(self.alphas)} steps; {self.reason}; alpha = {self.alpha:.8g}"
+
+    @property
+    def stable_steps(self) -> list[int]:
+        """Those k >= 1 of the sequence at which Theorem 1 applies."""
+        return [k for k, alpha in enumerate(self.alphas, start=1) if alpha > 1]
+
+
+def terminal_set(
+    loop: ClosedLoop,
+    safe: SafeSet | Polytope,
+    C: ArrayLike | None = None,
+    epsilon: float = 1e-3,
+    centre: Centre = "origin",
+    engine: Engine | str | None = None,
+    *,
+    max_steps: int = 1000,
+    tol: float | None = None,
+    progress: bool = False,
+) -> TerminalSet:
+    """R_min-bar = R_k-bar(F_max) with the first k at which eq. TerminationFmin holds (eq. RminOver), and Theorem 1.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    safe : SafeSet or Polytope
+        F_max, or any set that `check_rpi` proves.
+    C : array (l, n) or None
+        As in `safe_set`. Rows of F_max that it lacks are added, so that R_1-bar(F_max) lies in F_max.
+    epsilon : float
+        Positive.
+    centre : "origin", "equilibrium" or array (n,)
+        About which eq. TerminationFmin scales. The paper's origin fails where the closed loop's
+        equilibrium is another point: the sequence converges, but not towards the origin.
+    engine : Engine, str or None
+        As in `support`.
+    max_steps : int
+    tol : float or None
+        As in `check_rpi`. Changes of at most `tol` count as stagnation.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    TerminalSet
+
+    Raises
+    ------
+    TypeError
+        If an argument is of another kind.
+    ValueError
+        If `safe` holds no proven set or one of another loop, epsilon is not positive, or no equilibrium
+        was found.
+    SolverStopped
+        If a limit stopped the solver.
+
+    See Also
+    --------
+    contraction : a larger alpha for the same set.
+    ultimately_bounded : Theorem 2.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> loop = mr.case_study("pwa").loop
+    >>> terminal = mr.terminal_set(loop, mr.safe_set(loop, mr.directions(8)), mr.directions(8))
+    >>> print(terminal)
+    terminal set: R51 of 51 steps; eq. TerminationFmin holds at k = 51; alpha = 1.0000009
+
+    Notes
+    -----
+    With S = c + (R_k-bar - c) / (1 + epsilon), c in R_k-bar, S in R_1-bar(S) implies by monotonicity that
+    S lies in R_j-bar(F_max) for all j, so the limit is within R_k-bar, and R_k-bar within
+    c + (1 + epsilon) (limit - c). What S must lie in is taken from attained values, not from bounds.
+    """
+    F = set_to_start_from(safe)
+    epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
+    engine, tol, c = engine_for(loop, engine), tolerance(tol), centre_point(loop, centre)
+    V = with_rows(template(loop, C), F.H)
+    found = require_rpi(loop, F, V, engine, tol)
+    history, alphas, image, h, after = [F], [], found.found, F.bound(V), found.bound
+    still = image.resolution if tol is None else tol
+    criterion, stagnant, settled = False, False, found.settled
+    with tqdm(total=max_steps, desc="terminal set", disable=not progress) as bar:
+        while not (criterion or stagnant) and len(alphas) < max_steps:
+            smaller = np.minimum(after, h)
+            R = Polytope(V, smaller)
+            stagnant, same = (smaller >= h - still).all(), (smaller >= h).all()
+            reach = R.bound(V)
+            alphas.append(growth(V, reach, h, c))
+            h, history, settled = smaller, [*history, R], weaker(settled, image.rests_on)
+            image = support(loop, R, V, engine=engine, warm_start=image)
+            after = image.bound
+            criterion = _is_near_limit(loop, R, reach, after, V, epsilon, c, engine)
+            bar.update()
+    k = len(alphas)
+    if criterion:
+        reason = f"eq. TerminationFmin holds at k = {k}"
+    elif stagnant:
+        rest = f"R{k} = R{k - 1}{'' if same else ' to within what the engine resolves'}"
+        reason = f"stagnation: {rest}, but eq. TerminationFmin about {c.tolist()} fails"
+        reason += ", and always will" if same else ""
+        if isinstance(centre, str) and centre == "origin":
+            reason += '; try centre="equilibrium"'
+    else:
+        reason = f"max_steps = {max_steps} came first"
+    alpha, inner_radius = alphas[-1], ((reach - V @ c) / np.linalg.norm(V, axis=1)).min()
+    return TerminalSet(
+        R,
+        k,
+        history,
+        criterion,
+        reason,
+        epsilon,
+        c,
+        alpha,
+        (alpha - 1) * inner_radius,
+        bool(alpha > 1),
+        np.array(alphas),
+        settled,
+    )
+
+
+def _is_near_limit(loop, R, reach, after, V, epsilon, c, engine):
+    """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
+
+    `reach` and `after` are upper bounds on the support functions of R and of R_1(R) along V. What S must lie in is
+    attained by steps in rational numbers.
+    """
+    middle = V @ c
+    if (middle + (reach - middle) / (1 + epsilon) > after + 4 * rounding(V, c, reach, after)).any():
+        return False  # clearly, S is not even in R_1-bar(R)
+    if not R.contains(c):
+        return False
+    S = scaled(R, np.nextafter(1 / (1 + epsilon), 2), c)
+    reach = S.bound(V)
+    if (reach > after).any():  # S is not even in R_1-bar(R)
+        return False
+    found = support(loop, S, V, engine=engine)
+    return bool((reach <= found.value).all()) and all(
+        _attains(loop, S, v, b, w) for v, b, w in zip(V, reach, found.witness)
+    )
+
+
+def _attains(loop, S, v, limit, witness):
+    """Whether a step from S reaches the limit along v, without rounding."""
+    value, limit = attained(loop, S, v, witness), binary(limit)
+    if value is not None and value >= limit:
+        return True
+    step = farthest_step(loop, S, v, witness.states[0], int(witness.modes[0]))
+    if step is None and loop.system.state_size == 2:
+        step = exact.farthest_steps(loop, S, v[None])[0]
+    return step is not None and step.value >= limit
