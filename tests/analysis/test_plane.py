@@ -1,5 +1,6 @@
 """What all computations in the plane share: units, checks of arguments, and results that can be pickled."""
 
+import json
 import pickle
 
 import numpy as np
@@ -65,6 +66,19 @@ def test_a_network_that_leaves_u_is_an_error(ask):
     loop = narrow_spike()
     with pytest.raises(ValueError, match="input"):
         ask(loop)
+
+
+def test_results_read_back_from_json():
+    loop = affine_loop(0.5 * np.eye(2), square(0.1))
+    found = mr.maximal_safe_set(loop)
+    settled, check = mr.attractor(loop, found), mr.prove_rpi(loop, square(0.1))
+    largest = mr.largest_disturbance(loop, "template", largest=0.25)
+    for result in (found, settled, check, largest, mr.maximal_safe_set(affine_loop(1.5 * np.eye(2), square(0.1)))):
+        again = type(result).from_dict(json.loads(json.dumps(result.to_dict())))
+        assert str(again) == str(result) and "\n" not in str(result)
+    again = mr.MaximalSafeSet.from_dict(json.loads(json.dumps(found.to_dict())))
+    assert again.set.equals(found.set) and again.verdict is mr.Verdict.PROVEN and again.given_up == found.given_up
+    assert check.verdict is mr.Verdict.REFUTED and str(largest).startswith("largest disturbance: yes at 0.25")
 
 
 def test_answers_pickle():

@@ -201,9 +201,8 @@ def _maximal(plane: PlanarLoop, slack: float, max_iterations: int, prove: bool) 
             continue
         found = history[-1], outer, len(history) - 1, history
         if not prove:
-            return MaximalSafeSet(
-                *found, Verdict.UNKNOWN, "; ".join([*failures, "not proven, for prove = False"]), tried
-            )
+            reason = "; ".join([*failures, "not proven, for prove = False"])
+            return MaximalSafeSet(*found, Verdict.UNKNOWN, reason, tried)
         check = _check(plane.loop, history[-1].pieces)
         if check.verdict == Verdict.PROVEN:
             return MaximalSafeSet(*found, Verdict.PROVEN, "; ".join([*failures, check.reason]), tried, check.settled)
