@@ -23,10 +23,10 @@ from growth import seconds
 
 import mireach as mr
 from mireach import case_studies
-from mireach.analysis import planar
+from mireach.analysis import maximal_set
+from mireach.analysis.plane import PlanarLoop
 from mireach.engines import cells, exact
 from mireach.engines.exact import Exact
-from mireach.engines.units import own_units
 
 PARTS = ("rooms", "peers", "wide", "growth", "dimensions")
 
@@ -99,13 +99,12 @@ def for_case(name):
 
 def for_region(name, case):
     """The maximal safe set, from the cells to the float region, its outer bound, its proof; and the attractor."""
-    loop, found = own_units(case.loop).loop, mr.maximal_safe_set(case.loop, prove=False)
-    every = cells.dynamics(loop)
-    slack = planar.SLACK * planar._size(every)
+    plane, found = PlanarLoop.of(case.loop), mr.maximal_safe_set(case.loop, prove=False)
+    slack = maximal_set.SLACK * np.abs(plane.state_set.bounding_box()).max()
     for label, sign in (("maximal safe set", 1), ("its outer bound", -1)):
         row(
             f"{name}: {label} ({found.iterations}), from the cells",
-            lambda sign=sign: planar._shrink(loop, every, sign * slack, planar.MOST_ITERATIONS),
+            lambda sign=sign: maximal_set._shrink(plane, sign * slack, maximal_set.MOST_ITERATIONS),
             1e3,
             "ms",
             20,

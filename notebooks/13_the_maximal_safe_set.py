@@ -28,7 +28,7 @@ import numpy as np
 
 import mireach as mr
 from mireach import plotting
-from mireach.analysis.planar import carried_out
+from mireach.analysis.maximal_set import carried_out
 from mireach.engines import steps
 from mireach.studies.case_studies import data_file
 from mireach.studies.seed_study import load_rows

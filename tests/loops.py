@@ -101,7 +101,7 @@ def affine_loop(A, D=None, limits=1.0, p=None, u=0.0):
     A = np.atleast_2d(np.asarray(A, float))
     n = len(A)
     p = np.zeros(n) if p is None else np.asarray(p, float)
-    everywhere = Polytope(np.eye(n + 1)[:1], [1e3])
+    everywhere = Polytope(np.eye(n + 1)[:1], [max(1e3, 2 * limits)])
     net = MaxoutNetwork((), np.zeros((1, n)), [u])
     X = Polytope.box(-limits * np.ones(n), limits * np.ones(n))
     return ClosedLoop(PWASystem([Mode(A, np.zeros((n, 1)), p, everywhere, D)], X, Polytope.box([-1], [1])), net)

@@ -3,8 +3,10 @@
 from . import approximation, certificate, errors
 from .analysis.boundedness import UltimateBound, ultimately_bounded
 from .analysis.contraction import contraction
+from .analysis.disturbance import LargestDisturbance, largest_disturbance
+from .analysis.exact_reach import Attractor, attractor, exact_reach
+from .analysis.maximal_set import MaximalSafeSet, RegionCheck, maximal_safe_set, prove_rpi
 from .analysis.minimal_set import MinimalSet, scaled_minimal_set
-from .analysis.planar import attractor, exact_reach, largest_disturbance, maximal_safe_set, prove_rpi
 from .analysis.reach import outer_reach, outer_step, support
 from .analysis.rpi import RPICheck, check_rpi
 from .analysis.safe_set import SafeSet, safe_set
@@ -18,8 +20,9 @@ from .engines.exact import Exact
 from .engines.milp.engine import Milp
 from .errors import CorruptFileError, MireachError, MissingExtraError, SolverError, SolverStopped
 from .results import Verdict
-from .sets.polytope import Polytope, box_directions, directions
+from .sets.polytope import Polytope
 from .sets.region import Region
+from .sets.templates import box_directions, directions
 from .studies import case_studies
 from .studies.case_studies import case_study
 from .systems.loop import ClosedLoop
@@ -28,6 +31,7 @@ from .systems.nonlinear import NonlinearSystem
 from .systems.pwa import Mode, PWASystem
 
 __all__ = [
+    "Attractor",
     "Cells",
     "ClosedLoop",
     "CorruptFileError",
@@ -36,7 +40,9 @@ __all__ = [
     "ErrorProof",
     "Escape",
     "Exact",
+    "LargestDisturbance",
     "Layer",
+    "MaximalSafeSet",
     "MaxoutNetwork",
     "Milp",
     "MinimalSet",
@@ -49,6 +55,7 @@ __all__ = [
     "Polytope",
     "RPICheck",
     "Region",
+    "RegionCheck",
     "SafeSet",
     "SolverError",
     "SolverStopped",

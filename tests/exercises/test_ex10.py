@@ -5,7 +5,7 @@ import pytest
 from helpers import expect, expect_hint, run_source
 
 import mireach as mr
-from mireach.analysis.planar import carried_out
+from mireach.analysis.maximal_set import carried_out
 from mireach.exercises import ex10
 
 

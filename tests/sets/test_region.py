@@ -1,5 +1,7 @@
 """Regions: known areas, points by brute force, sums and erosions by their definitions."""
 
+import json
+
 import numpy as np
 import pytest
 import shapely
@@ -7,7 +9,7 @@ import shapely
 import mireach as mr
 from mireach.arithmetic.rational import binary
 from mireach.engines import exact
-from mireach.sets.region import hulls
+from mireach.sets.geos import hulls
 
 SQUARE, SMALL = mr.Polytope.box([0, 0], [4, 4]), mr.Polytope.box([1, 1], [3, 3])
 TRIANGLE = mr.Polytope.from_points([[0.3, 0.1], [-0.2, 0.4], [0.0, -0.3]])
@@ -138,6 +140,118 @@ def test_pieces_are_convex_beyond_rounding(seed):
     pieces = mr.Region(shapely.union_all(halves)).pieces
     for i in range(len(pieces)):
         assert len(exact._hull([binary(x) for x in pieces[i]])) == len(pieces[i])
+
+
+# -- the words of Polytope ----------------------------------------------------------------------------
+
+
+def random_polygon(rng):
+    return mr.Polytope.from_points(rng.uniform(-3, 3, (6, 2)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_region_of_one_piece_answers_as_the_polytope(seed):
+    rng = np.random.default_rng(seed)
+    P, Q, V = random_polygon(rng), mr.Polytope.box(-rng.random(2), rng.random(2)), rng.normal(size=(7, 2))
+    R, M, t = mr.Region.of(P), rng.normal(size=(2, 2)), rng.normal(size=2)
+    assert (R.dimension, R.is_bounded, R.is_empty) == (P.dimension, P.is_bounded, P.is_empty)
+    np.testing.assert_allclose(R.support(V), P.support(V), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(np.array(R.bounding_box()), np.array(P.bounding_box()), rtol=0, atol=1e-13)
+    assert R.area == pytest.approx(P.area) and R.convex_hull().is_subset(P, tol=1e-12)
+    made = [
+        (R.sum(Q), P.sum(Q)),
+        (R.scale(9).erode(Q), P.scale(9).erode(Q)),
+        (R.map(M, t), P.map(M, t)),
+        (R.scale(0.3, t), P.scale(0.3, t)),
+        (R & Q, P & Q),
+    ]
+    for region, polytope in made:
+        assert region.equals(polytope, tol=1e-12) and not region.equals(polytope.scale(1.01), tol=1e-12)
+        np.testing.assert_allclose(region.support(V), polytope.support(V), rtol=0, atol=1e-12)
+    x = rng.uniform(-3, 3, (500, 2))
+    assert (R.contains(x) == P.contains(x)).all() and R.is_subset(P.scale(1.1, P.chebyshev_centre()[0]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_images_of_regions_agree_with_points(seed):
+    rng = np.random.default_rng(seed)
+    R, M, t, x = random_region(rng), rng.normal(size=(2, 2)), rng.normal(size=2), grid(6, 61) + 1e-4 * np.sqrt(2)
+    inside = R.contains(x)
+    np.testing.assert_array_equal(R.map(M, t).contains(x @ M.T + t), inside)
+    np.testing.assert_array_equal(R.scale(0.7, t).contains(t + 0.7 * (x - t)), inside)
+    image = R.map(M, t)
+    assert image.area == pytest.approx(abs(np.linalg.det(M)) * R.area)
+    assert (image.holes, image.components) == (R.holes, R.components)
+    flat = R.map([[1, 2], [2, 4]])  # of rank one: segments
+    assert flat.area == 0 and flat.contains(x[inside] @ [[1, 2], [2, 4]], tol=1e-9).all()
+    V = rng.normal(size=(5, 2))
+    np.testing.assert_allclose(R.support(V), (R.pieces.points @ V.T).max(axis=0), atol=1e-12)
+
+
+def test_empty_regions_have_the_answers_of_empty_sets():
+    empty, box = mr.Region.of(), mr.Polytope.box([-1, -1], [1, 1])
+    assert empty.support(np.eye(2)).tolist() == [-np.inf, -np.inf] and empty.area == 0 and len(empty.pieces) == 0
+    for made in (empty.sum(box), empty.erode(box), empty.map(np.eye(2)), empty.scale(2), empty & box, empty - box):
+        assert made.is_empty and made.equals(empty)
+    assert empty.is_subset(box) and not mr.Region.of(box).is_subset(empty) and not empty.contains([0, 0])
+
+
+def test_equal_regions_may_be_made_of_other_pieces():
+    whole, halves = mr.Region.of(SQUARE), mr.Region.of(mr.Polytope.box([0, 0], [1, 4]), mr.Polytope.box([1, 0], [4, 4]))
+    assert whole.equals(halves) and halves.equals(whole) and whole != halves
+    frame = whole - SMALL
+    assert not frame.equals(whole) and (frame | SMALL).equals(SQUARE)
+    assert not whole.equals(mr.Polytope.box([0, 0], [4, np.nextafter(4, 5)]))
+    assert whole.equals(mr.Polytope.box([0, 0], [4, 4.01]), tol=0.02)
+
+
+@pytest.mark.parametrize("unit", [0, -40, 40])
+def test_samples_are_uniform_over_the_parts_of_the_largest_dimension(unit):
+    s = 2.0**unit
+    frame = (mr.Region.of(SQUARE) - SMALL).scale(s)
+    x = frame.sample(np.random.default_rng(0), 20_000) / s
+    assert frame.scale(1 / s).contains(x, tol=1e-12).all()
+    below = (x[:, 1] < 1).mean()  # a strip of area 4 of 12
+    assert below == pytest.approx(4 / 12, abs=0.02) and (x[:, 0] > 3).mean() == pytest.approx(4 / 12, abs=0.02)
+    lines = mr.Region.of([[0, 0], [s, 0]], [[5 * s, 0], [8 * s, 0]], [[0, 9 * s]])
+    y = lines.sample(1, 10_000) / s
+    assert (y[:, 1] == 0).all() and (y[:, 0] > 4).mean() == pytest.approx(3 / 4, abs=0.02)
+    points = mr.Region.of([[s, s]], [[2 * s, s]]).sample(1, 1000) / s
+    assert {*points[:, 0].tolist()} == {1, 2} and (points[:, 1] == 1).all()
+    assert (frame.sample(3, 5) == frame.sample(np.random.default_rng(3), 5)).all() and frame.sample(3, 0).shape == (
+        0,
+        2,
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_dict_reads_back_to_the_same_set(seed):
+    rng = np.random.default_rng(seed)
+    R = random_region(rng) | mr.Region.of([[9, 9], [9.1, 9.7]], [[1 / 3, 8]])
+    again = mr.Region.from_dict(json.loads(json.dumps(R.to_dict())))
+    assert again.equals(R) and (again.holes, again.components) == (R.holes, R.components)
+    for corners in (R.pieces.points, again.pieces.points):
+        assert {*map(tuple, corners.tolist())} == {*map(tuple, R.pieces.points.tolist())}
+    assert mr.Region.from_dict(json.loads(json.dumps(mr.Region.of().to_dict()))).is_empty
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (lambda: mr.Region.of().sample(0, 1), ValueError, "empty"),
+        (lambda: mr.Region.of().convex_hull(), ValueError, "empty"),
+        (lambda: mr.Region.of(SQUARE).sample("0", 1), TypeError, "rng"),
+        (lambda: mr.Region.of(SQUARE).support([[1, 2, 3]]), ValueError, "V has shape"),
+        (lambda: mr.Region.of(SQUARE).map([[1, 2]]), ValueError, "shapes"),
+        (lambda: mr.Region.of(SQUARE).scale(0), ValueError, "s must be positive"),
+        (lambda: mr.Region.of(SQUARE).scale(1, [1, 2, 3]), ValueError, "centre has shape"),
+        (lambda: mr.Region.of(SQUARE).sum([1]), TypeError, "Polytope"),
+        (lambda: mr.Region("square"), TypeError, "shape"),
+    ],
+)
+def test_bad_arguments_are_named(make, error, words):
+    with pytest.raises(error, match=words):
+        make()
 
 
 # -- units --------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mireach import MaxoutNetwork, MireachError
-from mireach.analysis.planar import maximal_safe_set
+from mireach.analysis.maximal_set import maximal_safe_set
 from mireach.errors import CorruptFileError
 from mireach.learning.datasets import make_four_tanks_data
 from mireach.studies import seed_study as seeds

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..arithmetic.scaling import normal_rows
 from ..checks import real_array, require_kind
-from ..sets.polytope import box_directions, directions
+from ..sets.templates import box_directions, directions
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike
 

@@ -6,7 +6,8 @@ from ..arithmetic.rational import above, below, binary, dot
 from ..checks import positive_number, require_kind
 from ..engines.base import Engine
 from ..engines.registry import engine_for
-from ..sets.polytope import ROUNDING, Polytope
+from ..sets.convex_set import ROUNDING
+from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..typing import Array
 from .arguments import Centre, centre_point

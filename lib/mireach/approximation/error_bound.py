@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ..arithmetic.balls import ball, interval, pairs, precision, upper_float
 from ..checks import real_array, require_columns, require_kind, whole_number
 from ..errors import SolverError
-from ..sets.polytope import Polytope, box_directions
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions
 from ..solvers.linear_program import LinearProgram
 from ..systems.nonlinear import NonlinearSystem
 from ..systems.pwa import Mode

@@ -15,7 +15,8 @@ import numpy as np
 
 from ..sets.kernels import affine_pieces, highest, parts, sharp_pairs
 from ..sets.polygons import Polygons
-from ..sets.polytope import Polytope, box_directions
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions
 from ..solvers.linear_program import LinearProgram
 from .base import Engine, Lazily, Support, checked_query, empty_support, replay
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ..sets.polytope import Polytope, box_directions, directions
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions, directions
 from .common import require, require_array, require_filled
 
 TOL = 1e-9  # for numbers that differ by rounding only; all data here are of size 1

@@ -7,7 +7,8 @@ import numpy as np
 from ..analysis.reach import outer_step, support
 from ..analysis.rpi import check_rpi
 from ..engines.cvxpy_model import model
-from ..sets.polytope import Polytope, box_directions
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions
 from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
 from ..systems.network import Layer, MaxoutNetwork

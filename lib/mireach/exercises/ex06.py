@@ -5,7 +5,8 @@ import numpy as np
 from ..analysis.reach import support
 from ..analysis.rpi import check_rpi
 from ..analysis.safe_set import safe_set
-from ..sets.polytope import Polytope, box_directions, directions
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions, directions
 from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
 from ..systems.network import Layer, MaxoutNetwork

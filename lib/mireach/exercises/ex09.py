@@ -5,7 +5,8 @@ import numpy as np
 from ..analysis.reach import support
 from ..analysis.safe_set import safe_set
 from ..analysis.terminal_set import terminal_set
-from ..sets.polytope import Polytope, directions
+from ..sets.polytope import Polytope
+from ..sets.templates import directions
 from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
 from .common import Wrong, require, require_array, require_filled

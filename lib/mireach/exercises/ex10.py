@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ..analysis.planar import carried_out, largest_disturbance, maximal_safe_set
+from ..analysis.disturbance import largest_disturbance
+from ..analysis.maximal_set import carried_out, maximal_safe_set
 from ..sets.polytope import Polytope
 from ..sets.region import Region
 from ..studies.case_studies import case_study

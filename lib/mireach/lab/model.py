@@ -11,11 +11,12 @@ from time import perf_counter
 
 import numpy as np
 
-from ..analysis.planar import maximal_safe_set
+from ..analysis.maximal_set import maximal_safe_set
 from ..analysis.safe_set import SafeSet, safe_set
 from ..analysis.terminal_set import TerminalSet, terminal_set
 from ..checks import require_kind
-from ..sets.polytope import Polytope, directions
+from ..sets.polytope import Polytope
+from ..sets.templates import directions
 from ..studies.case_studies import CaseStudy, case_study, double_integrator_fit
 from ..studies.seed_study import load_study
 from ..systems.loop import ClosedLoop

@@ -4,13 +4,20 @@ Flat and unbounded sets are included. Qhull proposes the facets of a hull in flo
 hull is neither flat nor thin. Each normal is then computed over the rationals from the corners of its facet.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from math import factorial
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import binary, dot, maximize, nearest
+from ..typing import Array
+
+Vector: TypeAlias = tuple[Any, ...]  # of fmpq
 
 ALIGNED = 1e-6  # an exact normal replaces that of qhull if they differ by a smaller share of their length
 
@@ -36,16 +43,17 @@ class Frame:
     The rank is exact.
     """
 
-    def __init__(self, points):
+    def __init__(self, points: Sequence[Vector]) -> None:
         matrix = flint().fmpq_mat
-        self.dimension, first = len(points[0]), points[0]
+        first = points[0]
+        self.dimension = len(first)
         offsets = [[a - b for a, b in zip(point, first)] for point in points]
         chosen, self.axes = _pivots(offsets)
         self.rank = len(chosen)
         self.free = [j for j in range(self.dimension) if j not in self.axes]
         self.basis = [offsets[i] for i in chosen]
         if not self.rank:
-            self.y = [() for _ in points]
+            self.y: list[Vector] = [() for _ in points]
             return
         r = self.rank
         self.square = matrix(r, r, [row[j] for row in self.basis for j in self.axes])
@@ -53,7 +61,7 @@ class Frame:
         y = (matrix(len(points), r, [row[j] for row in offsets for j in self.axes]) * self.inverse).entries()
         self.y = [tuple(y[k * r : (k + 1) * r]) for k in range(len(points))]
 
-    def normals(self):
+    def normals(self) -> list[Vector]:
         """Outward normals of the hull: list of tuples (n,) of fmpq, those of its affine hull in both signs."""
         zero, one = flint().fmpq(0), flint().fmpq(1)
         found = []
@@ -72,7 +80,7 @@ class Frame:
             found.append(tuple(v))
         return found
 
-    def volume(self):
+    def volume(self) -> Any:
         """The n-dimensional volume of the hull as an fmpq, 0 if it is flat.
 
         Notes
@@ -91,11 +99,11 @@ class Frame:
             total += abs(flint().fmpq_mat(r, r, edges).det())
         return total * abs(self.square.det()) / factorial(r)
 
-    def _floats(self):
+    def _floats(self) -> Array:
         """The points as floats: array (k, r)."""
         return np.array([[nearest(entry) for entry in row] for row in self.y])
 
-    def _local_normals(self):
+    def _local_normals(self) -> list[Vector]:
         """Outward normals of the hull in the coordinates y: list of tuples (r,) of fmpq."""
         one = flint().fmpq(1)
         if self.rank < 2:
@@ -103,7 +111,7 @@ class Frame:
         found = ConvexHull(self._floats())
         return [*{self._exact_normal(*facet): None for facet in zip(found.simplices.tolist(), found.equations)}]
 
-    def _exact_normal(self, corners, equation):
+    def _exact_normal(self, corners: list[int], equation: Array) -> Vector:
         """The normal of the plane through `corners`, scaled to a largest entry of 1; qhull's if they span no plane."""
         r, first = self.rank, self.y[corners[0]]
         edges = [a - b for k in corners[1:] for a, b in zip(self.y[k], first)]
@@ -125,12 +133,12 @@ class Frame:
         return w if close else near
 
 
-def rank(rows):
+def rank(rows: Sequence[Vector]) -> int:
     """The rank of a matrix given by its rows of fmpq."""
     return flint().fmpq_mat(len(rows), len(rows[0]), [entry for row in rows for entry in row]).rank()
 
 
-def image(H, h, M):
+def image(H: Sequence[Vector], h: Sequence[Any], M: Sequence[Vector]) -> list[tuple[Vector, Any]]:
     """Rows v and offsets b of {M x : H x <= h} = {y : v y <= b}: list of pairs (v, b).
 
     Parameters
@@ -149,7 +157,8 @@ def image(H, h, M):
     Independent rows of M and some coordinates of x are taken as new coordinates. Fourier-Motzkin elimination removes
     the latter. The rows of M that depend on the others give equations.
     """
-    matrix, zero, one = flint().fmpq_mat, flint().fmpq(0), flint().fmpq(1)
+    matrix = flint().fmpq_mat
+    zero, one = flint().fmpq(0), flint().fmpq(1)
     m, n = len(M), len(M[0])
     chosen, pivots = _pivots(M)
     r = len(chosen)
@@ -176,17 +185,18 @@ def image(H, h, M):
     return found
 
 
-def scaled(v):
+def scaled(v: Vector) -> Array:
     """A row of fmpq, divided by its largest entry and rounded to the nearest floats: array (n,)."""
     top = max(abs(entry) for entry in v)
     return np.array([nearest(entry / top) for entry in v])
 
 
-def _pivots(rows):
+def _pivots(rows: Sequence[Sequence[Any]]) -> tuple[list[int], list[int]]:
     """Independent rows and as many columns, by complete pivoting relative to the size of each column: two lists."""
     sizes = [max(abs(row[j]) for row in rows) for j in range(len(rows[0]))]
     rest = [[entry / size if size else entry for entry, size in zip(row, sizes)] for row in rows]
-    chosen, columns = [], []
+    chosen: list[int] = []
+    columns: list[int] = []
     while len(columns) < len(sizes):
         top, i = max((max(map(abs, row)), i) for i, row in enumerate(rest))
         if not top:
@@ -199,9 +209,9 @@ def _pivots(rows):
     return chosen, columns
 
 
-def _without_last(rows):
+def _without_last(rows: list[tuple[Vector, Any]]) -> list[tuple[Vector, Any]]:
     """Fourier-Motzkin elimination of the last coordinate from rows (v, b), without what the others imply."""
-    least = {}
+    least: dict[Vector, Any] = {}
     plus, minus = ([row for row in rows if row[0][-1] * sign > 0] for sign in (1, -1))
     sums = [
         (tuple(x / a[-1] - y / c[-1] for x, y in zip(a[:-1], c[:-1])), b / a[-1] - d / c[-1])
@@ -217,7 +227,7 @@ def _without_last(rows):
     for row in least.items():
         others = [other for other in kept if other != row]
         if others:
-            highest = maximize([v for v, _ in others], [b for _, b in others], row[0]).value
+            highest: Any = maximize([v for v, _ in others], [b for _, b in others], row[0]).value
             if not isinstance(highest, float) and highest <= row[1]:
                 kept = others
     return kept

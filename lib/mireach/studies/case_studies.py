@@ -14,7 +14,8 @@ from ..certificate import checker
 from ..errors import CorruptFileError
 from ..files import read_json
 from ..learning.datasets import DataSet
-from ..sets.polytope import Polytope, box_directions, directions
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions, directions
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
 from ..systems.nonlinear import NonlinearSystem

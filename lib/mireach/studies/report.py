@@ -11,8 +11,8 @@ from tqdm.auto import tqdm
 
 from ..analysis.boundedness import UltimateBound, ultimately_bounded
 from ..analysis.contraction import contraction
+from ..analysis.maximal_set import MaximalSafeSet, maximal_safe_set
 from ..analysis.minimal_set import MinimalSet, scaled_minimal_set
-from ..analysis.planar import MaximalSafeSet, maximal_safe_set
 from ..analysis.reach import outer_reach, support
 from ..analysis.rpi import check_rpi
 from ..analysis.safe_set import SafeSet, safe_set

@@ -13,7 +13,7 @@ from time import perf_counter
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..analysis.planar import maximal_safe_set
+from ..analysis.maximal_set import maximal_safe_set
 from ..analysis.safe_set import safe_set
 from ..analysis.terminal_set import terminal_set
 from ..certificate.writer import write

@@ -1,0 +1,500 @@
+"""The maximal RPI set of a loop with two states, by steps backwards, and its proof in rational arithmetic.
+
+Forward images of a nonconvex set have to be covered by a template, and every cover adds what is then carried
+on. Backwards nothing is covered: a state is lost if a disturbance carries it to a lost state, and the lost part
+of a cell is a union of convex polygons.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+import shapely
+from shapely.errors import GEOSException
+
+from ..arithmetic.scaling import times
+from ..checks import positive_number, require_kind, whole_number
+from ..engines import exact
+from ..engines.base import EXACT, Escape
+from ..errors import RegionError
+from ..results import Result, Verdict
+from ..sets.geos import Shape, hulls, overlay
+from ..sets.polygons import Polygons
+from ..sets.polytope import Polytope
+from ..sets.region import Region
+from ..systems.loop import ClosedLoop
+from ..typing import Array, ArrayLike, IntArray
+from .plane import PlanarLoop, normals, square
+
+SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and far below what is seen in an area
+LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
+MOST_ITERATIONS = 500  # default of `max_iterations`
+MOST_TRIANGLES = 1_000  # that an S_k may fall into; a larger slack then ends a boundary of ever more corners sooner
+MOST_LOST = 10_000  # the same where nothing has to be proven afterwards
+COARSER = 4  # powers of 10 by which the slack may grow
+STEEP = 0.2  # rows of a region that change with x more slowly than this (relative to their length) are not located well
+ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
+FLOATS = "floating point"  # what an answer rests on that `slack` protects from rounding, but no proof
+
+
+@dataclass(frozen=True, eq=False)
+class RegionCheck(Result):
+    """Result of `prove_rpi`.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    witness : Escape or None
+        A step out of the region, in rational numbers, where the verdict is "refuted".
+    reason : str
+        What was shown, or why nothing was.
+    settled : str
+        What the verdict rests on: "exact arithmetic"; empty where it is "unknown".
+    """
+
+    verdict: Verdict
+    witness: Escape | None
+    reason: str
+    settled: str = ""
+
+    def __str__(self) -> str:
+        return f"RPI region: {self.verdict}; {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class MaximalSafeSet(Result):
+    """Result of `maximal_safe_set`: set <= the maximal RPI set in X <= outer.
+
+    Attributes
+    ----------
+    set : Region or None
+        RPI; the figures show it as the maximal set. None if none was found.
+    outer : Region
+        Outside of it every state can be driven out of X.
+    iterations : int
+        k with S_k = `set`.
+    history : list of Region
+        S_0, S_1, ..., S_k, of the iteration that led to `set`.
+    verdict : Verdict
+        "proven": `set` is RPI, in rational arithmetic. "refuted": X holds no RPI set at all, since `outer` is
+        empty.
+    reason : str
+        What was shown, and which values of the slack failed before.
+    slack : float
+        By which `set` was found, relative to the size of X and its image, as the argument of `maximal_safe_set`.
+    settled : str
+        What the verdict rests on: "exact arithmetic" where it is "proven", "floating point" where it is "refuted"
+        (with the margin `slack`), empty where it is "unknown".
+    """
+
+    set: Region | None
+    outer: Region
+    iterations: int
+    history: list[Region]
+    verdict: Verdict
+    reason: str
+    slack: float
+    settled: str = ""
+
+    def __str__(self) -> str:
+        if self.set is None:
+            return f"maximal safe set: {self.verdict}, none found; {self.reason}"
+        figures = f"area {self.set.area:.6g}, {self.iterations} iterations, slack {self.slack:g}"
+        return f"maximal safe set: {self.verdict}; {figures}"
+
+    @property
+    def given_up(self) -> float:
+        """Share of the area of `outer` that `set` lacks; what is given up for the proof is at most that."""
+        own = 0.0 if self.set is None else self.set.area
+        return (self.outer.area - own) / self.outer.area if self.outer.area else 0.0
+
+
+def maximal_safe_set(
+    loop: ClosedLoop, *, slack: float = SLACK, max_iterations: int = MOST_ITERATIONS, prove: bool = True
+) -> MaximalSafeSet:
+    """The maximal RPI set in X: S_0 = X, S_(k+1) = S_k without the states that some d in D carries out of S_k.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states; modes may depend on u, jump, and differ in D.
+    slack : float
+        By how much disturbance sets and lost parts are widened (a box of this half-width), relative to the
+        largest coordinate of X, its image and the disturbance sets, in units in which X reaches to between 1/2 and 1
+        along each axis. It has to exceed the rounding of GEOS, and the area that it costs should not be seen. At
+        least 1e-11.
+    max_iterations : int
+        Largest k.
+    prove : bool
+        Whether to prove the set in rational arithmetic. Without a proof the verdict is at best "unknown".
+
+    Returns
+    -------
+    MaximalSafeSet
+
+    Raises
+    ------
+    TypeError
+        If `loop` is no ClosedLoop.
+    ValueError
+        If the loop has not two states, Phi leaves U, or an argument is out of range.
+
+    See Also
+    --------
+    safe_set : the largest one with a template, in any dimension; prove_rpi : the proof alone;
+    carried_out : one step of the iteration; largest_disturbance : how much disturbance leaves such a set.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> zero, X, U = mr.Polytope.box([0, 0], [0, 0]), mr.Polytope.box([-1, -1], [1, 1]), mr.Polytope.box([-1], [1])
+    >>> mode = mr.Mode([[0, 1.5], [0.5, 0]], [[0], [0]], [0, 0], X.product(U), zero)
+    >>> loop = mr.ClosedLoop(mr.PWASystem([mode], X, U), mr.MaxoutNetwork((), [[0.0, 0.0]], [0.0]))
+    >>> found = mr.maximal_safe_set(loop)  # x1+ = 1.5 x2, x2+ = x1 / 2
+    >>> print(found)
+    maximal safe set: proven; area 2.66667, 1 iterations, slack 1e-09
+    >>> found.set.contains([[1.0, 0.6], [1.0, 0.7]]).tolist()
+    [True, False]
+
+    Notes
+    -----
+    What is proven: `set` is RPI. `prove_rpi` shows that without rounding and without any of the code below.
+    If it fails, or the boundary of S_k has ever more corners, up to 10^4 times the slack is tried, and then none
+    at all, which suits sets that fit exactly; `slack`, `reason` and `given_up` report it.
+
+    What rests on floats: that `outer` holds every RPI set, and so that X holds none where it is empty. There
+    the iteration removes only states that are lost with a margin: lost sets are shrunk by the slack before
+    anything is taken to be carried into them, and the result is widened by it. The slack is thousands of times
+    the rounding of one operation, but that no rounding exceeds it is not proven. Where Phi rests on a boundary of
+    regions that involve u, or nearly so, floats do not tell which mode acts; then `outer` is X.
+
+    On a boundary of regions every mode counts, so that a single line may be lost; the slack removes a thin strip
+    with it. The maximal set itself need not be closed; `set` and `outer` are.
+    """
+    slack = positive_number(slack, "slack")
+    max_iterations = whole_number(max_iterations, "max_iterations", 1)
+    if slack < LEAST_SLACK:
+        raise ValueError(f"slack must be at least {LEAST_SLACK:g}, above the rounding of GEOS; got {slack:g}")
+    plane = PlanarLoop.of(loop)
+    found = _maximal(plane, slack, max_iterations, prove)
+    own = None if found.set is None else plane.in_user_units(found.set)
+    history = [own if own is not None and S is found.set else plane.in_user_units(S) for S in found.history]
+    return replace(found, set=own, outer=plane.in_user_units(found.outer), history=history)
+
+
+def _maximal(plane: PlanarLoop, slack: float, max_iterations: int, prove: bool) -> MaximalSafeSet:
+    """`maximal_safe_set` in the loop's own units."""
+    outer = _outer(plane, slack, max_iterations)
+    if outer.is_empty:
+        reason = "X holds no RPI set: every state of it can be driven out of it"
+        return MaximalSafeSet(None, outer, 0, [Region.of(plane.state_set)], Verdict.REFUTED, reason, slack, FLOATS)
+    failures = []
+    for tried in (*(slack * 10.0**power for power in range(COARSER + 1)), 0.0):
+        history, unfinished = _shrink(plane, tried * plane.size, max_iterations)
+        if unfinished or history[-1].is_empty:
+            failures.append(f"with slack {tried:g} {unfinished or 'nothing is left'}")
+            continue
+        if history[-1].area > outer.area:
+            failures.append(f"with slack {tried:g} only rounding is left")
+            continue
+        found = history[-1], outer, len(history) - 1, history
+        if not prove:
+            reason = "; ".join([*failures, "not proven, for prove = False"])
+            return MaximalSafeSet(*found, Verdict.UNKNOWN, reason, tried)
+        check = _check(plane.loop, history[-1].pieces)
+        if check.verdict == Verdict.PROVEN:
+            return MaximalSafeSet(*found, Verdict.PROVEN, "; ".join([*failures, check.reason]), tried, check.settled)
+        failures.append(f"with slack {tried:g} {check.reason}")
+    return MaximalSafeSet(None, outer, len(history) - 1, history, Verdict.UNKNOWN, "; ".join(failures), tried)
+
+
+def _outer(plane: PlanarLoop, slack: float, max_iterations: int) -> Region:
+    """A region in own units that holds every RPI set: outside of it states are lost by more than the slack."""
+    margin = slack * plane.size
+    outer = _shrink(plane, -margin, max_iterations, MOST_LOST)[0][-1]
+    outer = outer.sum(square(margin)) & plane.state_set if not outer.is_empty else outer
+    return Region.of(plane.state_set) if _mode_in_doubt(plane) else outer
+
+
+def has_maximal_set(loop: ClosedLoop) -> bool:
+    """Whether the iteration of `maximal_safe_set` ends with a nonempty set, with the default slack.
+
+    Raises
+    ------
+    ValueError
+        If the loop has not two states, or Phi leaves U.
+    """
+    plane = PlanarLoop.of(loop)
+    history, unfinished = _shrink(plane, SLACK * plane.size, MOST_ITERATIONS, MOST_LOST)
+    return not unfinished and not history[-1].is_empty
+
+
+def carried_out(loop: ClosedLoop, S: Region | Polytope) -> Region:
+    """The states of X that some disturbance carries out of S: one step of the iteration, without slack.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states.
+    S : Region or Polytope
+        In the plane.
+
+    Returns
+    -------
+    Region
+        Its closure; parts without area are left out.
+
+    Raises
+    ------
+    TypeError
+        If `loop` is no ClosedLoop, or S neither a Region nor a Polytope.
+    ValueError
+        If the loop has not two states, Phi leaves U, or S lies in another space.
+    RegionError
+        If GEOS fails.
+
+    See Also
+    --------
+    maximal_safe_set : the limit of these steps.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> zero, X, U = mr.Polytope.box([0, 0], [0, 0]), mr.Polytope.box([-1, -1], [1, 1]), mr.Polytope.box([-1], [1])
+    >>> mode = mr.Mode([[0, 1.5], [0.5, 0]], [[0], [0]], [0, 0], X.product(U), zero)
+    >>> loop = mr.ClosedLoop(mr.PWASystem([mode], X, U), mr.MaxoutNetwork((), [[0.0, 0.0]], [0.0]))
+    >>> carried_out(loop, X).contains([[0.0, 0.6], [0.0, 0.7]]).tolist()  # x1+ = 1.5 x2, x2+ = x1 / 2
+    [False, True]
+    """
+    require_kind(S, (Region, Polytope), "S")
+    plane = PlanarLoop.of(loop)
+    X = Region.of(plane.state_set)
+    lost = []
+    try:
+        start = plane.start(S)
+        targets = Region(_with_area((X - start).shape)).simplices.points.reshape(-1, 3, 2)
+        for D, own in plane.disturbances:
+            chosen = np.flatnonzero(own)
+            lost += [_lost_outside(plane, chosen, D, 0.0), _lost_into(plane, chosen, D, targets, 0.0)]
+        return plane.in_user_units(Region(_union(lost, X, 0.0)))
+    except GEOSException as error:
+        raise RegionError(f"GEOS fails on the states that are lost ({error}); try an S with fewer corners") from error
+
+
+def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
+    """Whether a region is RPI, in rational arithmetic.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states.
+    region : Region or Polytope
+        Not empty. What is proven is proven of the union of its `pieces`, with the floats that their corners are.
+
+    Returns
+    -------
+    RegionCheck
+        "unknown" only if an image falls into too many parts.
+
+    Raises
+    ------
+    TypeError
+        If `loop` is no ClosedLoop, or `region` neither a Region nor a Polytope.
+    ValueError
+        If the region is empty, the loop has not two states, or Phi leaves U.
+
+    See Also
+    --------
+    check_rpi : of a Polytope, in any dimension, with every engine; maximal_safe_set : finds such a region.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> zero, X, U = mr.Polytope.box([0, 0], [0, 0]), mr.Polytope.box([-1, -1], [1, 1]), mr.Polytope.box([-1], [1])
+    >>> mode = mr.Mode([[0, 1.5], [0.5, 0]], [[0], [0]], [0, 0], X.product(U), zero)
+    >>> loop = mr.ClosedLoop(mr.PWASystem([mode], X, U), mr.MaxoutNetwork((), [[0.0, 0.0]], [0.0]))
+    >>> print(mr.prove_rpi(loop, mr.Polytope.box([-1, -0.5], [1, 0.5])))  # x1+ = 1.5 x2, x2+ = x1 / 2
+    RPI region: proven; no step leaves the 1 pieces of the region, in rational arithmetic
+    >>> mr.prove_rpi(loop, X).verdict == "refuted"
+    True
+
+    Notes
+    -----
+    For every cell of the loop and every piece of the region: the image of their intersection, widened by D^(i),
+    less the pieces of the region has to be empty (`engines.exact.first_escape`). Neither GEOS nor the float
+    cells are trusted; python-flint, and the few lines of `engines/exact.py`, are.
+    """
+    require_kind(region, (Region, Polytope), "region")
+    units = PlanarLoop.of(loop).units
+    region = Region.of(region) if isinstance(region, Polytope) else region
+    if region.is_empty:
+        raise ValueError("the region is empty; there is nothing to prove")
+    pieces = region.pieces
+    return _check(units.loop, Polygons(times(pieces.points, 1 / units.state), pieces.starts), units.state)
+
+
+def _check(loop: ClosedLoop, pieces: Polygons, scale: ArrayLike = (1.0, 1.0)) -> RegionCheck:
+    """`prove_rpi` of pieces in the units of the loop; an escape is multiplied by `scale`."""
+    try:
+        escape = exact.first_escape(loop, [pieces[i] for i in range(len(pieces))])
+    except ArithmeticError as error:
+        return RegionCheck(Verdict.UNKNOWN, None, str(error))
+    if escape is not None:
+        parts = [escape.state, escape.disturbance, escape.after]
+        factors = [Fraction(s) for s in np.asarray(scale, float).tolist()]
+        x, d, after = (part and tuple(value * s for value, s in zip(part, factors)) for part in parts)
+        escape = Escape(x, escape.mode, d, after)
+        return RegionCheck(Verdict.REFUTED, escape, f"a step leaves the region: {escape}", EXACT)
+    reason = f"no step leaves the {len(pieces)} pieces of the region, in rational arithmetic"
+    return RegionCheck(Verdict.PROVEN, None, reason, EXACT)
+
+
+def _mode_in_doubt(plane: PlanarLoop) -> bool:
+    """Whether some cell touches a row of its mode's region along which u hardly depends on x.
+
+    The float cells of such a mode may reach beyond the region by more than the slack, or be there although the
+    mode never acts.
+    """
+    found, near = plane.dynamics.cells, SLACK * plane.size
+    domain = plane.state_set.product(plane.loop.system.input_set)
+    for number, mode in enumerate(plane.loop.system.modes):
+        own = np.flatnonzero(found.mode == number)
+        part = found.polygons.take(own)
+        for row, offset in zip(mode.region.H, mode.region.h):
+            if not row[2:].any() or not len(own):
+                continue
+            if domain.support(row[None])[0] - offset <= near * np.linalg.norm(row):  # such as a limit of U itself
+                continue
+            a, b = row[:2] + row[2:] @ found.K[own], offset - found.g[own] @ row[2:]
+            flat = np.linalg.norm(a, axis=1) < STEEP * np.linalg.norm(row)
+            nearest = part.largest(np.einsum("ti,ti->t", part.points, a[part.owner]) - b[part.owner])
+            if (flat & (nearest > -near * np.linalg.norm(row))).any():
+                return True
+    return False
+
+
+# -- backwards ----------------------------------------------------------------------------------------
+
+
+def _shrink(
+    plane: PlanarLoop, slack: float, max_iterations: int, most_triangles: int = MOST_TRIANGLES
+) -> tuple[list[Region], str]:
+    """S_0, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
+
+    `slack` (own units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
+    negative for a set around it: only what is lost by more than that counts as lost. At 0 there is no margin.
+    """
+    history = [Region.of(_inset(plane.state_set, max(slack, 0.0)))]
+    try:
+        return history, _shrunk(plane, slack, max_iterations, most_triangles, history)
+    except GEOSException as error:  # what was found before is found all the same
+        return history, f"GEOS fails on S_{len(history)} ({error})"
+
+
+def _shrunk(plane: PlanarLoop, slack: float, max_iterations: int, most_triangles: int, history: list[Region]) -> str:
+    """Append S_1, S_2, ... to [S_0]; why the last of them is not the end of the sequence ("" if it is)."""
+    lost = [_lost_outside(plane, np.flatnonzero(own), D, slack) for D, own in plane.disturbances]
+    S, box = history[0], plane.state_set.bounding_box()
+    for _ in range(max_iterations):
+        gone = _union(lost, S, slack)
+        following = Region(_within(_with_area(overlay(shapely.difference, S.shape, gone)), *box))
+        fresh = Region(_with_area(overlay(shapely.intersection, S.shape, gone)))
+        if _is_thin(fresh, S, abs(slack)):
+            if fresh.area:
+                history.append(following)
+            return ""
+        history.append(following)
+        if following.is_empty:
+            return ""
+        if len(following.simplices) > most_triangles:
+            return f"S_{len(history) - 1} has more than {most_triangles} triangles"
+        if slack < 0:
+            fresh = S.sum(square(-slack)) - following.sum(square(-slack))
+        targets = Region(_with_area(fresh.shape)).simplices.points.reshape(-1, 3, 2)
+        shapely.prepare(following.shape)
+        alive = shapely.dwithin(following.shape, plane.shapes, abs(slack))
+        lost = [
+            _lost_into(plane, np.flatnonzero(own & alive), D, targets, max(slack, 0.0)) for D, own in plane.disturbances
+        ]
+        S = following
+    return f"max_iterations = {max_iterations} came first"
+
+
+def _lost_outside(plane: PlanarLoop, chosen: IntArray, D: Polytope, slack: float) -> Polygons:
+    """The parts of the chosen cells that D can carry out of X: Polygons."""
+    X, every = plane.state_set, plane.dynamics
+    polygons, found = plane.polygons.take(chosen), []
+    limits = X.h - D.support(X.H) - slack * np.abs(X.H).sum(axis=1)
+    for a, limit in zip(X.H, limits):
+        found.append(polygons.clip(-a @ every.M[chosen], every.c[chosen] @ a - limit, 0.0)[0])
+    return Polygons.join(found)
+
+
+def _lost_into(plane: PlanarLoop, chosen: IntArray, D: Polytope, targets: Array, slack: float) -> Polygons:
+    """The parts of the chosen cells that D, widened by a box of half-width `slack`, can carry into triangles.
+
+    M x + c + d lies in the triangle T for some d exactly if M x + c lies in T + (-D), whose sides have the normals
+    of T and of -D.
+    """
+    every, cells = plane.dynamics, plane.polygons.take(chosen)
+    images, (low, high) = every.images(cells.points, chosen[cells.owner]), D.bounding_box()
+    starts, ends = targets.min(axis=1) - high - slack, targets.max(axis=1) - low + slack
+    near = (cells.least(images)[:, None] <= ends).all(axis=2) & (cells.largest(images)[:, None] >= starts).all(axis=2)
+    which, target = np.nonzero(near)
+    own, corners = normals(targets), D.vertices()
+    others = np.unique(np.vstack([np.eye(2), -np.eye(2), -D.H[(D.H != 0).any(axis=1)]]) + 0.0, axis=0)
+    A = np.concatenate([own, np.broadcast_to(others, (len(targets), *others.shape))], axis=1)
+    b = np.einsum("trj,tvj->trv", A, targets).max(axis=2) + (-A @ corners.T).max(axis=2)
+    b += slack * np.abs(A).sum(axis=2)
+    part, kept = cells.take(which), np.arange(len(which))
+    for row in range(A.shape[1]):
+        cell, a = chosen[which[kept]], A[target[kept], row]
+        limit = b[target[kept], row] - np.einsum("pi,pi->p", a, every.c[cell])
+        part, left = part.clip(np.einsum("pi,pij->pj", a, every.M[cell]), limit, 0.0)
+        kept = kept[left]
+    return part
+
+
+def _union(lost: list[Polygons], S: Region, slack: float) -> Shape:
+    """The union of those lost polygons that meet S; flat ones count only for a set within the maximal one."""
+    polygons = Polygons.join(lost)
+    if slack <= 0:
+        polygons = polygons.take(np.flatnonzero(shapely.get_dimensions(hulls(polygons)) == 2))
+    shapes = hulls(polygons, slack if slack > 0 else -ROUNDING * slack)
+    shapely.prepare(S.shape)
+    return overlay(shapely.union_all, shapes[shapely.intersects(S.shape, shapes)])
+
+
+def _is_thin(fresh: Region, S: Region, slack: float) -> bool:
+    """Whether what is lost freshly lies within half the slack of what was lost before, which the slack covers."""
+    if not fresh.area:
+        return True
+    if fresh.area > slack * shapely.length(S.shape):
+        return False
+    return (S.erode(square(slack / 2)) & fresh).area == 0
+
+
+def _inset(X: Polytope, slack: float) -> Polytope:
+    """X with those sides moved inward whose corners, rounded to floats, might lie outside of X.
+
+    Rows x_i <= h, which hold for a float or not, stay: in own units those of an entry that is a power of two.
+    """
+    kept = [sorted(np.abs(a)) == [0, 1] for a in X.H]
+    return Polytope(X.H, X.h - np.where(kept, 0.0, slack) * np.linalg.norm(X.H, axis=1))
+
+
+def _with_area(shape: Shape) -> Shape:
+    """The part of a shapely geometry that has an area."""
+    parts = shapely.get_parts(shapely.get_parts(shape))
+    return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
+
+
+def _within(shape: Shape, lower: Array, upper: Array) -> Shape:
+    """A shapely geometry in the box that it lies in up to rounding: the grid of GEOS may move corners out of it."""
+    points = shapely.get_coordinates(shape)
+    if (points >= lower).all() and (points <= upper).all():
+        return shape
+    inside = shapely.transform(shape, lambda x: np.clip(x, lower, upper))
+    return inside if shapely.is_valid(inside) else shape
