@@ -17,6 +17,7 @@ from .sets.region import Region
 try:
     from matplotlib import rc_context
     from matplotlib.cm import cividis
+    from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch, Polygon
     from matplotlib.path import Path
     from matplotlib.ticker import MaxNLocator
@@ -105,6 +106,12 @@ def label_axes(ax, P, title=None):
 def legend_above(ax, columns):
     """A legend over the axes, where it hides nothing."""
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize="small")
+
+
+def new_figure(size, dpi=None):
+    """A figure of `size` inches with one set of Axes, which no window shows: (Figure, Axes)."""
+    figure = Figure(figsize=size, dpi=dpi, layout="constrained")
+    return figure, figure.add_subplot()
 
 
 def save_svg(figure, file, **options):

@@ -5,7 +5,7 @@ import pytest
 
 import mireach as mr
 from mireach.errors import CorruptFileError
-from mireach.studies.case_studies import NAMES, PAPER, data_file, load_sets
+from mireach.studies.case_studies import NAMES, PAPER_NAMES, data_file, load_sets
 
 BOUNDARY_POINTS = {
     "pwa": [(0.0, -4.0), (3.0, 0.0), (0.0, 0.0), (-5.0, 0.0), (0.0, 10.0)],
@@ -16,7 +16,7 @@ BOUNDARY_POINTS = {
 LARGER = ("three_tanks", "four_tanks")  # more than two states: no cells, no vertices drawn by hand
 
 
-@pytest.fixture(scope="module", params=PAPER)
+@pytest.fixture(scope="module", params=PAPER_NAMES)
 def case(request):
     return mr.case_study(request.param)
 
@@ -37,7 +37,7 @@ def terminal(case, safe):
 
 
 def test_unknown_case_is_refused_with_the_names():
-    assert NAMES == (*PAPER, *LARGER)
+    assert NAMES == (*PAPER_NAMES, *LARGER)
     with pytest.raises(ValueError, match="pwa, double_integrator, three_tanks, four_tanks"):
         mr.case_study("pwm")
 
