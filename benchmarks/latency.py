@@ -14,7 +14,7 @@ from time import perf_counter
 import nbformat
 import numpy as np
 
-from mireach.lab import model as lab
+from mireach import lab
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import browser
@@ -70,15 +70,10 @@ def computation(name, count):
 def warm_up(subject):
     """Build the cells of every network and fit, as the lab does while the hand rests."""
     names = [name for name in ("network", "regions", "shape") if subject.control(name)]
-    choices = [values(subject.control(name)) for name in names]
+    choices = [subject.control(name).values() for name in names]
     for chosen in np.stack(np.meshgrid(*[range(len(c)) for c in choices]), axis=-1).reshape(-1, len(names)):
         settings = {name: c[i] for name, c, i in zip(names, choices, chosen)}
         lab.look(subject, settings | {"centre": "equilibrium"})
-
-
-def values(control):
-    """All values of a choice or of a whole number."""
-    return list(control.choices) or list(range(int(control.low), int(control.high) + 1))
 
 
 def draw(control, rng):
@@ -89,7 +84,7 @@ def draw(control, rng):
 def on_the_screen(name, count):
     """Milliseconds from the slider's event to the frame after its picture, in JupyterLab."""
     notebook = nbformat.v4.new_notebook(
-        cells=[nbformat.v4.new_code_cell(f"from mireach import widgets\nwidgets.DisturbanceLab({name!r})")],
+        cells=[nbformat.v4.new_code_cell(f"from mireach import lab\nlab.DisturbanceLab({name!r})")],
         metadata={"kernelspec": {"name": "python3", "display_name": "Python 3 (ipykernel)", "language": "python"}},
     )
     with tempfile.TemporaryDirectory() as folder:

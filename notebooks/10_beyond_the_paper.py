@@ -445,8 +445,8 @@ for name in cases:
     sound = sum(row.criterion and row.alpha > 1 for row in P)
     print(f"{name}: {count} networks, {len(P)} with a safe set ({len(P) / count:.0%});", end=" ")
     print(f"{sound} fulfil all that the paper claims (rule about the origin, alpha > 1)")
-    k = [row.iterations for row in P]
-    print(f"  iterations of F_max: {min(k)} to {max(k)}, median {np.median(k):.0f}; paper {CASES[name].paper['iterations']}")
+    k, wanted = [row.iterations for row in P], CASES[name].paper["iterations"]
+    print(f"  iterations of F_max: {min(k)} to {max(k)}, median {np.median(k):.0f}; paper {wanted}")
 
 
 # %%

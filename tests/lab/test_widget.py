@@ -8,7 +8,8 @@ from loops import random_loop
 from traitlets import TraitError
 
 from mireach import Region, maximal_safe_set
-from mireach.lab.model import ACCURACY, look, subject
+from mireach.lab import look, subject
+from mireach.lab.search import ACCURACY
 from mireach.lab.widget import DisturbanceLab, step_viewer
 
 
