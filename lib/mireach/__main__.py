@@ -2,13 +2,14 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 from .certificate import checker
 from .errors import MireachError
 from .studies.case_studies import NAMES, PAPER_NAMES
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run one task; returns the exit status."""
     parser = argparse.ArgumentParser(prog="mireach", description=__doc__.split(":")[0])
     tasks = parser.add_subparsers(dest="task", required=True)
@@ -49,7 +50,7 @@ def main(arguments=None):
         return 1
 
 
-def _reproduce(options):
+def _reproduce(options: argparse.Namespace) -> int:
     from .studies.report import reproduce
 
     check = None if options.no_cross_check else "milp"
@@ -60,14 +61,14 @@ def _reproduce(options):
     return 0
 
 
-def _train(options):
+def _train(options: argparse.Namespace) -> int:
     from .studies.seed_study import retrain
 
     print(retrain(options.case, options.seed, options.output, progress=not options.quiet))
     return 0
 
 
-def _seeds(options):
+def _seeds(options: argparse.Namespace) -> int:
     from .studies.seed_study import make_study, reanalyse
 
     common = {"jobs": options.jobs, "folder": options.output, "progress": not options.quiet}

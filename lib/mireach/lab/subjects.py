@@ -86,7 +86,8 @@ def _bounded_subject(case: CaseStudy, slider: AmountSlider) -> Subject:
 def _fitted_subject(case: CaseStudy, slider: AmountSlider) -> Subject:
     """A case whose system is a fit: the amount scales the proven error sets, whose shape and number may be set."""
     trained = _networks(case)
-    fit = case.definition.fit.__name__ if case.definition.fit is not None else ""
+    fit = case.definition.fit
+    assert fit is not None  # `case.fit` was made by it
 
     def base(settings: Settings) -> ClosedLoop:
         system = _fitted_system(case.name, settings["regions"], settings["shape"])
@@ -94,8 +95,8 @@ def _fitted_subject(case: CaseStudy, slider: AmountSlider) -> Subject:
 
     def source(settings: Settings) -> list[str]:
         return [
-            *_network_source(case.name, settings["network"], imports=[f"from {PLACE} import {fit}"]),
-            f"fit = {fit}({settings['regions']}, error={ERRORS[settings['shape']]!r})",
+            *_network_source(case.name, settings["network"], imports=[f"from {fit.__module__} import {fit.__name__}"]),
+            f"fit = {fit.__name__}({settings['regions']}, error={ERRORS[settings['shape']]!r})",
             "loop = mr.ClosedLoop(fit.system(), case.network)",
         ]
 
@@ -108,9 +109,6 @@ def _fitted_subject(case: CaseStudy, slider: AmountSlider) -> Subject:
         *_case_controls(case),
     )
     return Subject(case.name, controls, base, source, case.plant)
-
-
-PLACE = "mireach.studies.case_studies"  # from where a saved script imports the fit of a case
 
 
 def _amount(slider: AmountSlider) -> Control:
