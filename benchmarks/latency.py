@@ -1,6 +1,6 @@
-"""How fast the disturbance lab follows the hand: python benchmarks/latency.py [--quick]
+"""How fast the disturbance lab answers: python benchmarks/latency.py [--quick]
 
-Two figures a case, printed as a Markdown table. *Computation*: `lab.look`, for values of each slider over its whole
+Two numbers per case, printed as a Markdown table. *Computation*: `lab.look`, for values of each slider over its whole
 range, the other controls at random. *On the screen*: from the input event of a slider to the frame after the new
 picture, in JupyterLab in a headless Chromium (left out where there is none). Nothing here is asserted.
 """
@@ -68,7 +68,7 @@ def computation(name, count):
 
 
 def warm_up(subject):
-    """Build the cells of every network and fit, as the lab does while the hand rests."""
+    """Build the cells of every network and fit, as the lab does in idle moments."""
     names = [name for name in ("network", "regions", "shape") if subject.control(name)]
     choices = [subject.control(name).values() for name in names]
     for chosen in np.stack(np.meshgrid(*[range(len(c)) for c in choices]), axis=-1).reshape(-1, len(names)):

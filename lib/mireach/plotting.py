@@ -253,7 +253,9 @@ def plot_maximal(ax: Axes, system: PWASystem, safe: SafeSet, maximal: MaximalSaf
     maximal : MaximalSafeSet
         With a set.
     """
-    X, S, F = Region.of(system.state_set), _set_of(maximal), _set_of(safe)
+    X = Region.of(system.state_set)
+    S = _set_of(maximal)
+    F = _set_of(safe)
     label = r"lost: can be driven out of $\mathcal{X}$"
     draw_region(ax, X - S, facecolor="#F2F2F2", edgecolor=GREY, linewidth=0, hatch="....", label=label)
     label = f"maximal safe set, {S.area / Region.of(F).area:.1f} times as large"

@@ -25,7 +25,9 @@ def check_t1(support_of_box: Any) -> None:
     """
     rng = np.random.default_rng()
     for n in (1, 2, 2, 3, 5, 5):
-        lower, size, v = rng.uniform(-2, 1, n), rng.uniform(0.5, 2, n), rng.choice([-1.0, 1.0], n)
+        lower = rng.uniform(-2, 1, n)
+        size = rng.uniform(0.5, 2, n)
+        v = rng.choice([-1.0, 1.0], n)
         upper, v = lower + size, v * rng.uniform(0.5, 2, n)
         value = require_number(support_of_box(lower, upper, v), "support_of_box(lower, upper, v)")
         best = float(Polytope.box(lower, upper).support([v])[0])

@@ -108,7 +108,9 @@ def check_t2(smallest_M: Any) -> None:
     rng = np.random.default_rng()
     for n in (1, 1, 2, 2, 3):
         p = int(rng.integers(2, 5))
-        W, b, lower = rng.uniform(-2, 2, (p, n)), rng.uniform(-1, 1, p), rng.uniform(-2, 1, n)
+        W = rng.uniform(-2, 2, (p, n))
+        b = rng.uniform(-1, 1, p)
+        lower = rng.uniform(-2, 1, n)
         upper = lower + rng.uniform(0.5, 2, n)
         M = require_array(smallest_M(W, b, lower, upper), (p,), "smallest_M(W, b, lower, upper)")
         corners = np.array(list(product(*zip(lower, upper))))
@@ -184,7 +186,7 @@ def check_t4(network_M: Any) -> None:
     Parameters
     ----------
     network_M : callable
-        MaxoutNetwork, (n,), (n,) -> list of arrays (w, p), one a layer.
+        MaxoutNetwork, (n,), (n,) -> list of arrays (w, p), one per layer.
 
     Raises
     ------

@@ -97,7 +97,9 @@ def check_t2(step_model: Any) -> None:
     for n, shift in ((1, 0.0), (2, 0.0), (2, 4.0), (2, 400.0)):  # the last: beyond any round number
         system, normal, level = _random_system(rng, n, shift)
         XU = system.state_set.product(system.input_set)
-        xi, at, v = cp.Variable(n + 1), cp.Parameter(n + 1), cp.Parameter(n)
+        xi = cp.Variable(n + 1)
+        at = cp.Parameter(n + 1)
+        v = cp.Parameter(n)
         answer = step_model(system, xi, XU)
         after, constraints = require_pair(answer, "step_model(system, xi, XU)", "(x+, constraints)")
         require_filled(after, "x+")

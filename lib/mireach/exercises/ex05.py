@@ -24,7 +24,7 @@ from .common import (
 )
 
 TOL = 1e-6  # for numbers that differ by rounding, relative to 1 + their size
-STRIP = 1e-3  # states this near to the border of task 2 are not asked
+STRIP = 1e-3  # states this near to the border of task 2 are left out
 MOST_BINARIES, MOST_LOSS = 20, 0.05  # what task 6 allows
 
 
@@ -199,7 +199,7 @@ def check_t5(loss: Any) -> None:
         require(
             bool((slope[:2] != 0).all()),
             f"the sample z = {z[0, 0]:g}, u* = {u[0, 0]:.2f} has no slope: an output that is cut off on the wrong side "
-            "stays there for ever",
+            "stays there forever",
         )
         truth = _leaky(z, u, lower, upper, leak)
         value = float(answer.detach())

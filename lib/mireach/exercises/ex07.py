@@ -120,7 +120,9 @@ def check_t4(D: Any) -> None:
     require_instance(D, Polytope, "D")
     require(D.dimension == 2, f"D lies in R^{D.dimension}, but the error has 2 components")
     require(not D.is_empty and D.is_bounded, "D must be bounded and not empty")
-    rng, fit, plant = np.random.default_rng(), double_integrator_fit(), double_integrator_plant()
+    rng = np.random.default_rng()
+    fit = double_integrator_fit()
+    plant = double_integrator_plant()
     errors = []
     for mode in fit.modes:
         low, high = mode.region.bounding_box()

@@ -54,7 +54,7 @@ def check_t1(lost: Any) -> None:
                 f"|u| <= {limit:.2f}: you say that x = {text(x[i])} can be kept in X, but the best of 2001 inputs "
                 f"leads to {text(after)} ({len(gone)} such states of {len(x)}); are both components met, with one u?"
             )
-    print("ok: lost states are told by two intervals for u")
+    print("ok: two intervals for u decide which states are lost")
 
 
 def check_t2(cost: Any) -> None:
@@ -158,11 +158,11 @@ def check_t5(other: Any) -> None:
     case, rng = case_study("double_integrator"), np.random.default_rng()
     states, network = case.data.states, case.network
     triples = states[rng.integers(0, len(states), (2000, 3))]
-    known = np.vstack([states, np.einsum("ij,ijk->ik", rng.dirichlet(np.ones(3), 2000), triples)])
-    gap = np.abs(_inputs(other, known) - network(known))[:, 0]
+    covered = np.vstack([states, np.einsum("ij,ijk->ik", rng.dirichlet(np.ones(3), 2000), triples)])
+    gap = np.abs(_inputs(other, covered) - network(covered))[:, 0]
     require(
         gap.max() <= 1e-6,
-        f"at x = {text(known[gap.argmax()])}, a convex combination of data states, your input differs by "
+        f"at x = {text(covered[gap.argmax()])}, a convex combination of data states, your input differs by "
         f"{gap.max():.2g} from the shipped network's",
     )
     anywhere = np.vstack([rng.uniform(-6, 6, (4000, 2)), [[6, 6]], rng.uniform(5, 6, (500, 2))])
@@ -227,11 +227,11 @@ def _compare_cost(answer: Any, kind: str, states: Array, inputs: Array) -> None:
         "the terminal cost counts twice": STATE_WEIGHT * (states[-1] ** 2).sum(),
     }
     size = TOL * (1 + abs(truth))
-    known = [name for name, term in terms.items() if abs(J - truth - term) <= size]
+    matching = [name for name, term in terms.items() if abs(J - truth - term) <= size]
     hint = f"{case}: your J is off by {abs(J - truth):.3g}"
     require(
         abs(J - truth) <= size,
-        f"{hint}: {known[0]}" if known else f"{hint}; compare weights, states and inputs one by one",
+        f"{hint}: {matching[0]}" if matching else f"{hint}; compare weights, states and inputs one by one",
     )
 
 

@@ -26,7 +26,7 @@ from .common import (
 MAX_ITERATIONS, ACCURACY = 60, 0.002  # of task 2
 SMALL_BOUND = 0.1  # of task 5
 ROUNDING = 1e-9  # of states that are computed twice (units of x)
-CLEAR = 1e-7  # excesses closer to 0 than this are not asked about
+CLEAR = 1e-7  # excesses closer to 0 than this are left out
 
 
 def check_t1(count_iterations: Any) -> None:
@@ -118,7 +118,9 @@ def check_t3(leaving_state: Any) -> None:
     Wrong
         If a state is no witness, with its successor; or if None is returned where many states leave.
     """
-    rng, case, plant = np.random.default_rng(), case_study("double_integrator"), double_integrator_plant()
+    rng = np.random.default_rng()
+    case = case_study("double_integrator")
+    plant = double_integrator_plant()
     safe = safe_set(case.loop, case.safe_directions)
     terminal = terminal_set(case.loop, safe, case.directions, centre="equilibrium")
     middle = int(rng.integers(1, terminal.steps))
@@ -127,7 +129,7 @@ def check_t3(leaving_state: Any) -> None:
         x = _state_of(leaving_state, G)
         if x is not None:
             _require_leaving(case, G, x, f"G = {name}, which is proven to be RPI")
-            raise Wrong(f"G = {name} is RPI, yet you found x = {text(x)}: you have refuted a proof, tell us!")
+            raise Wrong(f"G = {name} is RPI, yet you found x = {text(x)}: that refutes a proof; please report it")
     lower, upper = safe.set.bounding_box()
     side = rng.uniform(0.8, 1.2)
     quiet = with_bound(case.loop, 0.002)  # its sets are invariant for f_PWA without d, and not for f

@@ -110,9 +110,9 @@ def check_t2(shrink: Any) -> None:
             raise Wrong(f"{title}: your set is too large: x = {text(x)} {leaves}")
         if lacking.area > SHARE * X.area:
             x = lacking.shape.representative_point().coords[0]
-            raise Wrong(f"{title}: your set is too small: x = {text(x)} stays in the maximal set for ever")
+            raise Wrong(f"{title}: your set is too small: x = {text(x)} stays in the maximal set forever")
         k = require_whole(steps, "the number of steps", 0)
-        near = [j for j, known in enumerate(truth.history) if known.area - truth.set.area < SHARE * X.area]
+        near = [j for j, S_j in enumerate(truth.history) if S_j.area - truth.set.area < SHARE * X.area]
         require(
             near[0] <= k <= truth.iterations + 1,
             f"{title}: you count {k} steps, but S_{truth.iterations} is the last that differs from the one before",

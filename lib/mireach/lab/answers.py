@@ -58,17 +58,17 @@ class Look:
     seconds: float
 
     def __str__(self) -> str:
-        found = f"F_max after {self.safe.iterations} iterations" if self.safe.set else "no F_max"
+        safe = f"F_max after {self.safe.iterations} iterations" if self.safe.set else "no F_max"
         end = f"{self.terminal.steps} steps to the last R_k" if self.terminal else f"no terminal set: {self.remark}"
-        return f"amount {self.settings['amount']:g}: {found}; {end}"
+        return f"amount {self.settings['amount']:g}: {safe}; {end}"
 
     @property
     def sequence(self) -> list[tuple[Literal["F", "R"], int, Polytope]]:
         """All sets in the order in which they were found: list of (name "F" or "R", k, Polytope)."""
-        found: list[tuple[Literal["F", "R"], int, Polytope]] = [("F", k, F) for k, F in enumerate(self.safe.history)]
+        sets: list[tuple[Literal["F", "R"], int, Polytope]] = [("F", k, F) for k, F in enumerate(self.safe.history)]
         if self.terminal:
-            found += [("R", k, R) for k, R in enumerate(self.terminal.history) if k]
-        return found
+            sets += [("R", k, R) for k, R in enumerate(self.terminal.history) if k]
+        return sets
 
     def to_dict(self) -> dict[str, Any]:
         """Settings, sets and verdicts, ready for JSON; numbers read back to the same floats."""
@@ -176,8 +176,8 @@ def _terminal(
     """The terminal set, or None and why; and the seconds that it took."""
     safe, begin = _safe(loop, safe_count)[0], perf_counter()
     point, remark = (centre, "") if centre == "origin" else _equilibrium(base)
-    found = None if remark else terminal_set(loop, safe, directions(count), epsilon, point, max_steps=MAX_STEPS)
-    return found, remark, perf_counter() - begin
+    terminal = None if remark else terminal_set(loop, safe, directions(count), epsilon, point, max_steps=MAX_STEPS)
+    return terminal, remark, perf_counter() - begin
 
 
 @lru_cache(maxsize=256)

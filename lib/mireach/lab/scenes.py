@@ -23,7 +23,9 @@ def scene(look: Look) -> dict[str, Any]:
         "witness" as lists of states, "centre" of the stopping rule, "verdict" in one sentence, and "facts" as a list
         of (name, value).
     """
-    system, safe, terminal = look.loop.system, look.safe, look.terminal
+    system = look.loop.system
+    safe = look.safe
+    terminal = look.terminal
     X, R = system.state_set, terminal and terminal.set
     return {
         "state": _corners(X),

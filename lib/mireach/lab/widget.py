@@ -198,9 +198,9 @@ class DisturbanceLab(anywidget.AnyWidget):
         elif message.do == "idle":
             self._idle()
         elif message.do == "layer":
-            found = maximal_set(self.look.loop)
-            self.layer = {**maximal_scene(found, self.look.loop.system.state_set), "number": self._looks}
-            self._maximal = found.set
+            maximal = maximal_set(self.look.loop)
+            self.layer = {**maximal_scene(maximal, self.look.loop.system.state_set), "number": self._looks}
+            self._maximal = maximal.set
         else:
             ending, media = KINDS[message.kind]
             name = f"mireach_{self.subject.name}.{ending}"
@@ -212,8 +212,8 @@ class DisturbanceLab(anywidget.AnyWidget):
             return self.script()
         maximal = self._maximal if self.layer.get("number") == self._looks else None
         if kind == "sets":
-            found = {"subject": self.subject.name, **self.look.to_dict()}
-            return json.dumps(found | {"maximal_safe_set": maximal and maximal.to_dict()}, indent=1)
+            content = {"subject": self.subject.name, **self.look.to_dict()}
+            return json.dumps(content | {"maximal_safe_set": maximal and maximal.to_dict()}, indent=1)
         figure, ax = new_figure((6, 6.4))
         plot_look(ax, self.look, maximal=maximal)
         legend_above(ax, 4)

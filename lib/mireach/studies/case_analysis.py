@@ -243,14 +243,14 @@ def _proven_exactly(
     def holds_images(sets: list[Polytope]) -> bool:
         return all((support(loop, F, G.H, engine="exact").bound <= G.h).all() for F, G in pairwise(sets))
 
-    found = {}
+    proven = {}
     if centred is not None:
-        found["terminal set about the equilibrium"] = holds_images([*centred.history, centred.set])
+        proven["terminal set about the equilibrium"] = holds_images([*centred.history, centred.set])
     if minimal.set is not None:
-        found["scaled minimal set"] = holds_images([minimal.set, minimal.set])
-    found["maximal safe set"] = maximal.verdict == "proven"
-    found["reachable sets of the first state"] = holds_images(reach)
-    return found
+        proven["scaled minimal set"] = holds_images([minimal.set, minimal.set])
+    proven["maximal safe set"] = maximal.verdict == "proven"
+    proven["reachable sets of the first state"] = holds_images(reach)
+    return proven
 
 
 def _cross_check(
@@ -260,7 +260,9 @@ def _cross_check(
     origin = np.zeros(case.system.state_size)
     points = [Polytope.box(x, x) for x in (*case.starts, origin)]
     sets = [case.system.state_set, *invariant, *points]
-    values, bounds, safe_side = [], [], True
+    values = []
+    bounds = []
+    safe_side = True
     for F in tqdm(sets, desc=f"cross-check by {other}", unit="set", disable=not progress):
         here = support(case.loop, F, case.directions, engine=engine)
         there = support(case.loop, F, case.directions, engine=other)

@@ -109,7 +109,9 @@ def _network_rows(case: CaseStudy) -> Iterator[Row]:
 
 
 def _iteration_rows(analysis: Analysis, studied: list[SeedRow]) -> Iterator[Row]:
-    paper, safe, terminal = analysis.case.paper, analysis.safe, analysis.terminal
+    paper = analysis.case.paper
+    safe = analysis.safe
+    terminal = analysis.terminal
     others = [row.iterations for row in studied if row.verdict == "proven"]
     remark = _spread(paper["iterations"], safe.iterations, others)
     yield Row("iterations to F_max", paper["iterations"], safe.iterations, remark)
@@ -129,7 +131,9 @@ def _centred_rows(analysis: Analysis) -> Iterator[Row]:
 
 
 def _theorem_1_rows(analysis: Analysis) -> Iterator[Row]:
-    paper, terminal, certificate = analysis.case.paper, analysis.terminal, analysis.certificate
+    paper = analysis.case.paper
+    terminal = analysis.terminal
+    certificate = analysis.certificate
     printed = f"1 + {paper['alpha'] - 1:.1g}" if "alpha" in paper else "-"
     alpha = f"1 + {terminal.alpha - 1:.2g}" if terminal.alpha > 1 else f"{terminal.alpha:.6g}"
     yield Row("alpha at k-bar (Theorem 1)", printed, alpha, _alpha_remark(terminal))
@@ -186,7 +190,9 @@ def _proof_rows(analysis: Analysis) -> Iterator[Row]:
 
 
 def _fit_rows(analysis: Analysis) -> Iterator[Row]:
-    fit, bounded, paper = analysis.case.fit, analysis.bounded, analysis.case.paper
+    fit = analysis.case.fit
+    bounded = analysis.bounded
+    paper = analysis.case.paper
     assert fit is not None and bounded is not None  # both are there where the plant is nonlinear
     lower, upper = fit.modes[0].region.bounding_box()
     yield Row("regions of the fit", paper["regions"], len(fit.modes), f"chessboard of side {upper[0] - lower[0]:g}")
@@ -208,7 +214,9 @@ def _spread(paper: int, here: int, others: list[int]) -> str:
     """Why a number that depends on the network differs: the spread over the seed study."""
     if paper == here:
         return ""
-    low, middle, high = np.min(others), np.median(others), np.max(others)
+    low = np.min(others)
+    middle = np.median(others)
+    high = np.max(others)
     return f"depends on the trained network: {low:.0f} to {high:.0f} over {len(others)} seeds, median {middle:.0f}"
 
 

@@ -66,7 +66,10 @@ def reproduce(
 
 def as_dict(analysis: Analysis) -> dict[str, Any]:
     """One case of report.json."""
-    case, safe, terminal, certificate = analysis.case, analysis.safe, analysis.terminal, analysis.certificate
+    case = analysis.case
+    safe = analysis.safe
+    terminal = analysis.terminal
+    certificate = analysis.certificate
     report: dict[str, Any] = {
         "network": f"data/{case.name}/network.json",
         "disturbance_bound": case.disturbance_bound,

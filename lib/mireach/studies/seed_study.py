@@ -234,10 +234,14 @@ def analyse_seed(name: str, seed: int, network: MaxoutNetwork, loss: float) -> S
 def _terminal_columns(case: CaseStudy, safe: SafeSet, centre: str, suffix: str) -> dict[str, Any]:
     """The columns of the terminal set about a centre; none where the loop has no equilibrium."""
     try:
-        found = terminal_set(case.loop, safe, case.directions, case.epsilon, centre)
+        terminal = terminal_set(case.loop, safe, case.directions, case.epsilon, centre)
     except ValueError:
         return {}
-    return {"steps" + suffix: found.steps, "criterion" + suffix: found.criterion, "alpha" + suffix: found.alpha}
+    return {
+        "steps" + suffix: terminal.steps,
+        "criterion" + suffix: terminal.criterion,
+        "alpha" + suffix: terminal.alpha,
+    }
 
 
 def reanalyse(name: str, jobs: int = -1, folder: str | Path | None = None, *, progress: bool = False) -> str:
@@ -259,9 +263,9 @@ def reanalyse(name: str, jobs: int = -1, folder: str | Path | None = None, *, pr
         What came out, for people.
     """
     rows, networks = load_study(name)
-    found = in_parallel(_maximal_of, [(name, networks[row.seed]) for row in rows], jobs)
-    shown = tqdm(found, total=len(rows), desc="seeds", unit="network", disable=not progress)
-    rows = [replace(row, **columns) for row, columns in zip(rows, shown)]
+    columns = in_parallel(_maximal_of, [(name, networks[row.seed]) for row in rows], jobs)
+    shown = tqdm(columns, total=len(rows), desc="seeds", unit="network", disable=not progress)
+    rows = [replace(row, **maximal) for row, maximal in zip(rows, shown)]
     path = Path(folder or data_file(name, "")) / "seeds.csv"
     save_rows(path, rows)
     ratios = [row.area_ratio for row in rows if np.isfinite(row.area_ratio)]
@@ -329,13 +333,13 @@ def load_rows(path: str | Path) -> list[SeedRow]:
     CorruptFileError
         If the file is not such a study.
     """
-    known = [field.name for field in fields(SeedRow)]
+    columns = [field.name for field in fields(SeedRow)]
     try:
         *lines, end = Path(path).read_text(encoding="utf-8").splitlines() or [""]
         reader = csv.DictReader(lines)
         needed = [field.name for field in fields(SeedRow) if field.default is MISSING]
         names = reader.fieldnames or []
-        if names != known[: len(names)] or len(names) < len(needed):
+        if names != columns[: len(names)] or len(names) < len(needed):
             raise ValueError("its first line does not name the columns of SeedRow")
         if end != END.format(len(lines) - 1):
             raise ValueError("its last line does not give the number of rows it holds; it is truncated")
@@ -416,14 +420,14 @@ class _Store:
 
     def load(self, seeds: Iterable[int]) -> dict[int, Finished]:
         """What `save` wrote of these seeds, if its origin is the same: by seed."""
-        found = {}
+        finished = {}
         for seed in seeds:
             with suppress(FileNotFoundError, CorruptFileError, KeyError, TypeError, ValueError):  # is run again
                 value = read_json(self.folder / f"{seed}.json", FINISHED)
                 row = _row(value["row"])
                 if value["origin"] == self.origin and row.seed == seed:
-                    found[seed] = row, MaxoutNetwork.from_dict(value["network"])
-        return found
+                    finished[seed] = row, MaxoutNetwork.from_dict(value["network"])
+        return finished
 
 
 def make_study(
@@ -495,8 +499,8 @@ def retrain(name: str, seed: int | None = None, folder: str | Path | None = None
     data.save(folder / "samples.csv")
     network, loss = train_case(name, seed, data, progress=progress)
     network.save(folder / "network.json")
-    found = analyse_seed(name, seed, network, loss) if definition.paper else _certify(name, network, folder, progress)
-    return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {found}"
+    outcome = analyse_seed(name, seed, network, loss) if definition.paper else _certify(name, network, folder, progress)
+    return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {outcome}"
 
 
 def _certify(name: str, network: MaxoutNetwork, folder: Path, progress: bool) -> str:
@@ -519,14 +523,14 @@ def _maximal_of(name: str, network: MaxoutNetwork) -> dict[str, Any]:
 def _maximal_columns(case: CaseStudy, safe: SafeSet) -> dict[str, Any]:
     """The columns of the maximal safe set: dict."""
     begin = perf_counter()
-    found = maximal_safe_set(case.loop)
+    maximal = maximal_safe_set(case.loop)
     seconds = perf_counter() - begin
-    safe_area, area = (0.0 if part.set is None else part.set.area for part in (safe, found))
+    safe_area, area = (0.0 if part.set is None else part.set.area for part in (safe, maximal))
     return {
         "safe_area": safe_area,
-        "maximal_verdict": found.verdict,
+        "maximal_verdict": maximal.verdict,
         "maximal_area": area,
         "area_ratio": area / safe_area if safe_area else np.nan,
-        "maximal_iterations": found.iterations,
+        "maximal_iterations": maximal.iterations,
         "maximal_seconds": seconds,
     }
