@@ -64,6 +64,13 @@ def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
     Returns
     -------
     matplotlib artist
+
+    Examples
+    --------
+    >>> figure, ax = new_figure((3, 3))
+    >>> patch = draw_set(ax, Polytope.box([0, 0], [1, 1]), **SAFE)
+    >>> len(ax.patches)
+    1
     """
     corners = P.vertices()
     if len(corners) > 2:
@@ -86,6 +93,13 @@ def draw_region(ax: Axes, region: Region, **style: Any) -> Any:
     Returns
     -------
     matplotlib artist
+
+    Examples
+    --------
+    >>> figure, ax = new_figure((3, 3))
+    >>> patch = draw_region(ax, Region.of(Polytope.box([0, 0], [1, 1])), **MAXIMAL)
+    >>> len(ax.patches)
+    1
     """
     paths = [Path(ring, closed=True) for ring in region.rings()]
     return ax.add_patch(PathPatch(Path.make_compound_path(*paths) if paths else Path(np.zeros((0, 2))), **style))
@@ -347,7 +361,7 @@ def plot_growth(axes: Sequence[Axes], networks: Sequence[Any], steps: Sequence[A
 def plot_history(
     axes: Any, history: Sequence[Polytope], chosen: Sequence[int] | None = None, name: str = r"\mathcal{F}"
 ) -> None:
-    """Small multiples of a sequence of sets: each panel one set over its predecessors, for readers without a kernel.
+    r"""Small multiples of a sequence of sets: each panel one set over its predecessors, for readers without a kernel.
 
     Parameters
     ----------
@@ -358,6 +372,14 @@ def plot_history(
         The steps shown; None spreads them evenly from the first to the last.
     name : str
         Of the sets, in mathtext.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> axes = Figure().subplots(1, 2)
+    >>> plot_history(axes, [Polytope.box([-r, -r], [r, r]) for r in (3, 2, 1)])
+    >>> [ax.get_title() for ax in axes]
+    ['$\\mathcal{F}_{0}$', '$\\mathcal{F}_{2}$']
     """
     axes = np.ravel(axes)
     if chosen is None:

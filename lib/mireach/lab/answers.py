@@ -151,6 +151,18 @@ def safe_set_at(subject: Subject, settings: Settings, amount: float) -> Polytope
     ------
     TypeError, ValueError
         As `Subject.settle`.
+
+    See Also
+    --------
+    next_amount
+
+    Examples
+    --------
+    >>> from mireach.lab import subject
+    >>> safe_set_at(subject("pwa"), {}, 0.1).is_empty
+    False
+    >>> safe_set_at(subject("pwa"), {}, 2.0) is None
+    True
     """
     settings = subject.settle({**settings, "amount": amount})
     return _safe(subject.loop(settings), settings["safe_directions"])[0].set
@@ -158,7 +170,12 @@ def safe_set_at(subject: Subject, settings: Settings, amount: float) -> Polytope
 
 @lru_cache(maxsize=64)
 def maximal_set(loop: ClosedLoop) -> MaximalSafeSet:
-    """The maximal RPI set of a loop in floating point, without its proof."""
+    """The maximal RPI set of a loop in floating point, without its proof.
+
+    See Also
+    --------
+    mireach.maximal_safe_set, maximal_scene
+    """
     return maximal_safe_set(loop, prove=False)
 
 

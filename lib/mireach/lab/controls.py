@@ -131,6 +131,12 @@ class Subject:
             If it is no dict.
         ValueError
             If there is no such control, or a value is of the wrong kind.
+
+        Examples
+        --------
+        >>> from mireach.lab import subject
+        >>> subject("pwa").settle({"amount": -3})["amount"]
+        0.0
         """
         require_kind(settings, dict, "settings")
         known = {control.name: control for control in self.controls}

@@ -22,6 +22,12 @@ def scene(look: Look) -> dict[str, Any]:
         "state", "regions", "safe", "terminal" and "sequence" by vertices, "nominal", "disturbed", "plant" and
         "witness" as lists of states, "centre" of the stopping rule, "verdict" in one sentence, and "facts" as a list
         of (name, value).
+
+    Examples
+    --------
+    >>> from mireach.lab import look, subject
+    >>> scene(look(subject("pwa"), {"amount": 0.1}))["verdict"]
+    'Proven safe: no disturbance leads out of F_max = F_1'
     """
     system = look.loop.system
     safe = look.safe
@@ -44,7 +50,12 @@ def scene(look: Look) -> dict[str, Any]:
 
 
 def maximal_scene(maximal: MaximalSafeSet, X: Polytope) -> dict[str, Any]:
-    """What a page needs to draw a MaximalSafeSet within X, ready for JSON: "rings" of corners, and "text"."""
+    """What a page needs to draw a MaximalSafeSet within X, ready for JSON: "rings" of corners, and "text".
+
+    See Also
+    --------
+    maximal_set
+    """
     if maximal.set is None:
         text = "none: X holds no RPI set (in floating point)" if maximal.verdict == "refuted" else "not settled"
         return {"rings": [], "text": text}

@@ -11,6 +11,12 @@ def script(subject: Subject, settings: Settings) -> str:
     ------
     TypeError, ValueError
         As `Subject.settle`.
+
+    Examples
+    --------
+    >>> from mireach.lab import subject
+    >>> script(subject("pwa"), {}).splitlines()[0]
+    'import mireach as mr'
     """
     settings = subject.settle(settings)
     lines = [

@@ -47,5 +47,12 @@ def next_amount(trials: Trials, low: float, high: float) -> float | None:
 
 
 def largest_amount(trials: Trials) -> float | None:
-    """The largest amount for which a safe set was found; None if there is none."""
+    """The largest amount for which a safe set was found; None if there is none.
+
+    Examples
+    --------
+    >>> box = Polytope.box([-1], [1])
+    >>> largest_amount({0.0: box, 1.0: box, 2.0: None})
+    1.0
+    """
     return max((amount for amount, found in trials.items() if found is not None), default=None)

@@ -112,7 +112,7 @@ class DisturbanceLab(anywidget.AnyWidget):
     >>> lab = DisturbanceLab("pwa", amount=0.1)
     >>> lab.settings = {**lab.settings, "amount": 0.2}
     >>> lab.look.safe.verdict
-    'proven'
+    'refuted'
     """
 
     _esm = STATIC / "lab.js"
@@ -151,6 +151,8 @@ class DisturbanceLab(anywidget.AnyWidget):
         ------
         ValueError
             If the name ends otherwise.
+        OSError
+            If the file cannot be written.
         """
         kinds = {f".{ending}": kind for kind, (ending, _) in KINDS.items()}
         path = Path(path)

@@ -319,6 +319,11 @@ def data_file(name: str, file: str) -> Path:
     ------
     ValueError
         If there is no such case.
+
+    Examples
+    --------
+    >>> data_file("pwa", "network.json").name
+    'network.json'
     """
     case_definition(name)
     packaged = Path(__file__).parents[1] / "data"
@@ -333,6 +338,11 @@ def case_definition(name: str) -> CaseDefinition:
     ------
     ValueError
         If there is no such case; the message names those that there are.
+
+    Examples
+    --------
+    >>> case_definition("four_tanks").shape
+    NetworkShape(layers=2, width=4, pool=3)
     """
     _require_name(name, NAMES)
     return CASES[name]

@@ -298,7 +298,13 @@ def choose(name: str, rows: Sequence[SeedRow]) -> SeedRow:
     Eligible are rows for which the paper's claims hold (a proven safe set, eq. (25), TerminationFmin, about the
     origin, alpha > 1 by more than `CLEAR`) and whose loss is within twice the best loss of such rows. The
     distance is the sum of the relative differences of the numbers that the paper prints: iterations of
-    F_max, k-bar, and for `pwa` the right end of F_max, the side of it that differs between the networks.
+    F_max, k-bar, and where it prints the box F_max its right end, the side that differs between the networks.
+
+    Examples
+    --------
+    >>> rows, networks = load_study("pwa")
+    >>> networks[choose("pwa", rows).seed].to_dict() == case_study("pwa").network.to_dict()
+    True
     """
     paper = require_paper_case(name).paper
     sound = [row for row in rows if row.verdict == "proven" and row.criterion and row.alpha > 1 + CLEAR]
@@ -332,6 +338,11 @@ def load_rows(path: str | Path) -> list[SeedRow]:
     ------
     CorruptFileError
         If the file is not such a study.
+
+    Examples
+    --------
+    >>> len(load_rows(data_file("pwa", "seeds.csv"))) >= 50
+    True
     """
     columns = [field.name for field in fields(SeedRow)]
     try:
@@ -387,6 +398,12 @@ def load_study(name: str) -> tuple[list[SeedRow], Networks]:
     ------
     CorruptFileError
         If a file is truncated or holds anything else, or the two hold different seeds.
+
+    Examples
+    --------
+    >>> rows, networks = load_study("pwa")
+    >>> networks[rows[0].seed].input_size
+    2
     """
     rows, networks = load_rows(data_file(name, "seeds.csv")), load_networks(name)
     if sorted(row.seed for row in rows) != sorted(networks):
