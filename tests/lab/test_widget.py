@@ -134,23 +134,6 @@ MALFORMED = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("message", "said"),
-    [
-        ({"do": "look", "stamp": 1}, "must have the fields do, settings, stamp; got do, stamp"),
-        ({"do": "idle", "x": 1}, "must have the fields do; got do, x"),
-        ({"do": "dance"}, "must ask for look, idle, layer, save; got 'dance'"),
-        ({"do": "look", "stamp": 1, "settings": 5}, "settings must be of the kind dict; got int 5"),
-        ({"do": "look", "stamp": 1.5, "settings": {}}, "stamp must be a whole number of at least 0; got 1.5"),
-        ({"do": "save", "kind": "png"}, "must be of the kind figure, sets, script; got 'png'"),
-        (["look"], "a message of the page must be of the kind dict; got list"),
-    ],
-)
-def test_an_error_says_what_is_wrong_with_a_message(lab, message, said):
-    lab._on_message(lab, message, [])
-    assert said in lab.picture["error"]
-
-
 @pytest.mark.parametrize("message", MALFORMED)
 def test_malformed_messages_are_shown_and_change_nothing(lab, message):
     before, shown = lab.settings, lab.picture["safe"]

@@ -9,7 +9,9 @@ import numpy as np
 
 from ..analysis.invariance import SafeSet, TerminalSet, safe_set, terminal_set
 from ..analysis.planar import MaximalSafeSet, maximal_safe_set
+from ..checks import require_kind
 from ..sets.polytope import Polytope, directions
+from ..studies.case_analysis import SETTLING
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
 from ..systems.pwa import NonlinearSystem
@@ -18,7 +20,6 @@ from .controls import Settings, Subject, epsilon_of
 
 TRAJECTORIES = 20
 LONGEST = 50  # steps that are simulated at most
-SETTLING = 10  # steps that trajectories run on after they have to be in the terminal set
 MAX_ITERATIONS = 300  # sets F_k; close to the largest disturbance the sequence takes ever longer
 MAX_STEPS = 100  # sets R_k-bar; a sequence that has not come to its end by then is not followed on a page
 
@@ -111,7 +112,9 @@ def look(subject: Subject, settings: Settings | None = None) -> Look:
 
     Raises
     ------
-    TypeError, ValueError
+    TypeError
+        If `subject` is no Subject, or `settings` no dict.
+    ValueError
         As `Subject.settle`.
 
     Examples
@@ -120,6 +123,7 @@ def look(subject: Subject, settings: Settings | None = None) -> Look:
     >>> look(subject("pwa"), {"amount": 0.1}).safe.verdict
     'proven'
     """
+    require_kind(subject, Subject, "subject")
     settings = subject.settle({} if settings is None else settings)
     loop = subject.loop(settings)
     safe, seconds = _safe(loop, settings["safe_directions"])

@@ -25,6 +25,7 @@ from ..analysis.invariance import (
 from ..analysis.planar import MaximalSafeSet, maximal_safe_set
 from ..analysis.reach import outer_reach, support
 from ..certificate.writer import Certificate, make
+from ..checks import require_kind
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..typing import Array
@@ -146,9 +147,12 @@ def analyse(
 
     Raises
     ------
+    TypeError
+        If `case` is no CaseStudy.
     ValueError
         If the case has no safe set.
     """
+    require_kind(case, CaseStudy, "case")
     seconds: dict[str, float] = {}
     loop = case.loop
     with _timed(seconds, "safe_set"):

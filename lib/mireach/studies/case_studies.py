@@ -14,6 +14,7 @@ import numpy as np
 
 from ..approximation.fit import PWAFit, fit_pwa
 from ..certificate import checker
+from ..checks import require_kind
 from ..errors import CorruptFileError
 from ..files import read_json
 from ..learning.datasets import (
@@ -218,6 +219,8 @@ def case_study(name: str, network: Any = None) -> CaseStudy:
 
     Raises
     ------
+    TypeError
+        If the name is no str.
     ValueError
         If there is no such case, or the network does not fit it.
     FileNotFoundError
@@ -336,6 +339,8 @@ def case_definition(name: str) -> CaseDefinition:
 
     Raises
     ------
+    TypeError
+        If the name is no str.
     ValueError
         If there is no such case; the message names those that there are.
 
@@ -344,19 +349,19 @@ def case_definition(name: str) -> CaseDefinition:
     >>> case_definition("four_tanks").shape
     NetworkShape(layers=2, width=4, pool=3)
     """
-    _require_name(name, NAMES)
-    return CASES[name]
+    return _definition(name, NAMES)
 
 
-def require_paper_case(name: str) -> CaseDefinition:
-    """The definition of a case study, with ValueError unless it is one of the paper's."""
-    _require_name(name, PAPER_NAMES)
-    return CASES[name]
+def paper_case_definition(name: str) -> CaseDefinition:
+    """The definition of one of the paper's case studies, as `case_definition`."""
+    return _definition(name, PAPER_NAMES)
 
 
-def _require_name(name: str, names: tuple[str, ...]) -> None:
+def _definition(name: str, names: tuple[str, ...]) -> CaseDefinition:
+    require_kind(name, str, "name")
     if name not in names:
         raise ValueError(f"there is no case study {name!r}; choose one of {', '.join(names)}")
+    return CASES[name]
 
 
 PWA = CaseDefinition(

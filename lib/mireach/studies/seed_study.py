@@ -26,7 +26,7 @@ from ..files import END, PART, read_json, write_json, write_whole
 from ..learning.datasets import DataSet
 from ..systems.network import MaxoutNetwork
 from ..workers import in_parallel
-from .case_studies import CaseStudy, case_definition, case_study, data_file, require_paper_case
+from .case_studies import CaseStudy, case_definition, case_study, data_file, paper_case_definition
 
 FINISHED = "mireach-finished-seed/1"  # format of a file that keeps one seed of an unfinished study
 CLEAR = 1e-6  # an alpha counts as above 1 by more than this, what a MILP solver resolves
@@ -306,7 +306,7 @@ def choose(name: str, rows: Sequence[SeedRow]) -> SeedRow:
     >>> networks[choose("pwa", rows).seed].to_dict() == case_study("pwa").network.to_dict()
     True
     """
-    paper = require_paper_case(name).paper
+    paper = paper_case_definition(name).paper
     sound = [row for row in rows if row.verdict == "proven" and row.criterion and row.alpha > 1 + CLEAR]
     if not sound:
         raise MireachError(f"none of {len(rows)} networks of case {name} has both sets and alpha > 1; train more seeds")
@@ -475,7 +475,7 @@ def make_study(
     str
         What was chosen, for people.
     """
-    require_paper_case(name)
+    paper_case_definition(name)
     count = whole_number(count, "count", 1)
     if scheduler is None and not jobs:
         raise ValueError("jobs must not be 0; -1 is one process per core")
