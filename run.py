@@ -24,8 +24,10 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
@@ -46,7 +48,7 @@ TASKS = {
 }
 
 
-def set_up():
+def set_up() -> None:
     """Make .venv and install, unless the last installation was of the same files; one process at a time."""
     wanted = hashlib.sha256()
     for name in ("requirements.txt", "pyproject.toml"):
@@ -60,12 +62,12 @@ def set_up():
             STAMP.write_text(wanted.hexdigest())
 
 
-def is_installed(wanted):
+def is_installed(wanted: str) -> bool:
     """Whether .venv was made from what has the digest `wanted`."""
     return PYTHON.exists() and STAMP.exists() and STAMP.read_text() == wanted
 
 
-def make_environment():
+def make_environment() -> None:
     """Make .venv anew and install into it."""
     print("setting up .venv (some minutes the first time)", flush=True)
     try:
@@ -83,7 +85,7 @@ def make_environment():
 
 
 @contextmanager
-def locked(path):
+def locked(path: Path) -> Iterator[None]:
     """Hold a lock on a file until the block ends, or until this process does; wait for others and say so."""
     try:
         file = open(path, "a+b")
@@ -96,11 +98,9 @@ def locked(path):
         yield
 
 
-def lock(file, wait):
+def lock(file: IO[bytes], wait: bool) -> bool:
     """Lock an open file; False if another process holds it and `wait` is False. Closing the file unlocks it."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
+    if sys.platform == "win32":
         import msvcrt
 
         while True:
@@ -112,6 +112,8 @@ def lock(file, wait):
                 if not wait:
                     return False
                 time.sleep(1)
+    import fcntl
+
     try:
         fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         return True
@@ -121,7 +123,7 @@ def lock(file, wait):
         return True
 
 
-def install(command):
+def install(command: list[str]) -> None:
     """Run pip; on failure say what to look at."""
     if subprocess.run(command).returncode:
         sys.exit(
@@ -130,7 +132,8 @@ def install(command):
         )
 
 
-def main(arguments):
+def main(arguments: list[str]) -> int:
+    """Run one task; returns the exit status."""
     if sys.version_info < (3, 11):  # noqa: UP036 - an older Python has to be told so
         sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
     if not arguments or arguments[0] in ("-h", "--help"):

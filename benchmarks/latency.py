@@ -1,6 +1,6 @@
-"""How fast the disturbance lab follows the hand: python benchmarks/latency.py [--quick]
+"""How fast the disturbance lab answers: python benchmarks/latency.py [--quick]
 
-Two figures a case, printed as a Markdown table. *Computation*: `lab.look`, for values of each slider over its whole
+Two numbers per case, printed as a Markdown table. *Computation*: `lab.look`, for values of each slider over its whole
 range, the other controls at random. *On the screen*: from the input event of a slider to the frame after the new
 picture, in JupyterLab in a headless Chromium (left out where there is none). Nothing here is asserted.
 """
@@ -14,7 +14,7 @@ from time import perf_counter
 import nbformat
 import numpy as np
 
-from mireach.lab import model as lab
+from mireach import lab
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import browser
@@ -68,17 +68,12 @@ def computation(name, count):
 
 
 def warm_up(subject):
-    """Build the cells of every network and fit, as the lab does while the hand rests."""
+    """Build the cells of every network and fit, as the lab does in idle moments."""
     names = [name for name in ("network", "regions", "shape") if subject.control(name)]
-    choices = [values(subject.control(name)) for name in names]
+    choices = [subject.control(name).values() for name in names]
     for chosen in np.stack(np.meshgrid(*[range(len(c)) for c in choices]), axis=-1).reshape(-1, len(names)):
         settings = {name: c[i] for name, c, i in zip(names, choices, chosen)}
         lab.look(subject, settings | {"centre": "equilibrium"})
-
-
-def values(control):
-    """All values of a choice or of a whole number."""
-    return list(control.choices) or list(range(int(control.low), int(control.high) + 1))
 
 
 def draw(control, rng):
@@ -89,7 +84,7 @@ def draw(control, rng):
 def on_the_screen(name, count):
     """Milliseconds from the slider's event to the frame after its picture, in JupyterLab."""
     notebook = nbformat.v4.new_notebook(
-        cells=[nbformat.v4.new_code_cell(f"from mireach import widgets\nwidgets.DisturbanceLab({name!r})")],
+        cells=[nbformat.v4.new_code_cell(f"from mireach import lab\nlab.DisturbanceLab({name!r})")],
         metadata={"kernelspec": {"name": "python3", "display_name": "Python 3 (ipykernel)", "language": "python"}},
     )
     with tempfile.TemporaryDirectory() as folder:

@@ -38,7 +38,7 @@ from scipy.stats import spearmanr
 import mireach as mr
 from mireach import plotting
 from mireach.engines.cells import cells
-from mireach.studies.case_studies import PAPER, data_file, double_integrator_fit
+from mireach.studies.case_studies import CASES, data_file, double_integrator_fit
 from mireach.studies.seed_study import load_networks, load_rows
 
 cases = {name: mr.case_study(name) for name in ("pwa", "double_integrator")}
@@ -450,8 +450,8 @@ for name in cases:
     sound = sum(row.criterion and row.alpha > 1 for row in P)
     print(f"{name}: {count} networks, {len(P)} with a safe set ({len(P) / count:.0%});", end=" ")
     print(f"{sound} fulfil all that the paper claims (rule about the origin, alpha > 1)")
-    k = [row.iterations for row in P]
-    print(f"  iterations of F_max: {min(k)} to {max(k)}, median {np.median(k):.0f}; paper {PAPER[name]['iterations']}")
+    k, wanted = [row.iterations for row in P], CASES[name].paper["iterations"]
+    print(f"  iterations of F_max: {min(k)} to {max(k)}, median {np.median(k):.0f}; paper {wanted}")
 
 
 # %%
@@ -480,7 +480,7 @@ def histogram(ax, name, column, bins, paper, only=lambda row: True, log=False, *
 
 
 # %%
-name, paper = "pwa", PAPER["pwa"]
+name, paper = "pwa", CASES["pwa"].paper
 figure, axes = plt.subplots(2, 2, figsize=(7.6, 5.2), layout="constrained")
 one, two, three, four = axes.ravel()
 histogram(one, name, "x1_max", np.linspace(8.4, 10, 17), paper["safe_set_box"][1][0], color="#56B4E9")
@@ -503,7 +503,7 @@ plt.show()
 # within the range. So does $\bar k = 51$, between two groups of networks, one with fewer steps and one with more.
 
 # %%
-name, paper = "double_integrator", PAPER["double_integrator"]
+name, paper = "double_integrator", CASES["double_integrator"].paper
 figure, axes = plt.subplots(2, 2, figsize=(7.6, 5.2), layout="constrained")
 one, two, three, four = axes.ravel()
 histogram(one, name, "iterations", np.arange(17.5, 40), paper["iterations"], color="#56B4E9")

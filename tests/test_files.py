@@ -14,7 +14,7 @@ from mireach.errors import CorruptFileError, MireachError
 from mireach.files import PART, read_json, write_json, write_whole
 from mireach.learning.datasets import DataSet
 from mireach.studies import seed_study as seeds
-from mireach.studies.case_studies import NAMES, PAPER, data_file, load_sets
+from mireach.studies.case_studies import NAMES, PAPER_NAMES, data_file, load_sets
 from mireach.studies.seed_study import load_networks, load_rows
 
 
@@ -101,7 +101,7 @@ READERS = {
     "seed_networks.jsonl": lambda name, path: load_networks(name),
     "certificate.json": lambda name, path: load_sets(name),
 }
-SHIPPED = [(name, file) for name in NAMES for file in READERS if not file.startswith("seed") or name in PAPER]
+SHIPPED = [(name, file) for name in NAMES for file in READERS if not file.startswith("seed") or name in PAPER_NAMES]
 
 
 @pytest.mark.parametrize(("name", "file"), SHIPPED)

@@ -2,13 +2,14 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 from .certificate import checker
 from .errors import MireachError
-from .studies.case_studies import NAMES, PAPER
+from .studies.case_studies import NAMES, PAPER_NAMES
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run one task; returns the exit status."""
     parser = argparse.ArgumentParser(prog="mireach", description=__doc__.split(":")[0])
     tasks = parser.add_subparsers(dest="task", required=True)
@@ -30,7 +31,7 @@ def main(arguments=None):
     task.set_defaults(run=_train)
 
     task = tasks.add_parser("seeds", parents=[quiet], help="train and analyse many networks, ship the best; resumes")
-    task.add_argument("case", choices=tuple(PAPER))
+    task.add_argument("case", choices=PAPER_NAMES)
     task.add_argument("--count", type=int, default=50, help="number of seeds, counted from 0")
     task.add_argument("--jobs", type=int, default=-1, help="processes; -1 for all cores")
     task.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers are used instead")
@@ -49,31 +50,32 @@ def main(arguments=None):
         return 1
 
 
-def _reproduce(options):
+def _reproduce(options: argparse.Namespace) -> int:
     from .studies.report import reproduce
 
     check = None if options.no_cross_check else "milp"
     places = options.results, options.figures, options.certificates
-    print(reproduce(*places, options.engine, check, not options.quiet))
+    print(reproduce(*places, engine=options.engine, cross_check=check, progress=not options.quiet))
     written = f"{options.results}/report.md, {options.results}/report.json, {options.figures}/"
     print(f"written: {written}, {options.certificates}/CASE/certificate.json")
     return 0
 
 
-def _train(options):
+def _train(options: argparse.Namespace) -> int:
     from .studies.seed_study import retrain
 
     print(retrain(options.case, options.seed, options.output, progress=not options.quiet))
     return 0
 
 
-def _seeds(options):
+def _seeds(options: argparse.Namespace) -> int:
     from .studies.seed_study import make_study, reanalyse
 
+    common = {"jobs": options.jobs, "folder": options.output, "progress": not options.quiet}
     if options.analyse_only:
-        print(reanalyse(options.case, options.jobs, options.output, not options.quiet))
-        return 0
-    print(make_study(options.case, options.count, options.jobs, options.scheduler, options.output, not options.quiet))
+        print(reanalyse(options.case, **common))
+    else:
+        print(make_study(options.case, options.count, scheduler=options.scheduler, **common))
     return 0
 
 

@@ -5,35 +5,53 @@ figures can be read in grey.
 """
 
 import io
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
+from os import PathLike
 from pathlib import PurePath
+from typing import Any
 
 import numpy as np
 
+from .analysis.maximal_set import MaximalSafeSet
+from .analysis.safe_set import SafeSet
+from .analysis.terminal_set import TerminalSet
 from .errors import MissingExtraError
 from .files import write_whole
+from .sets.polytope import Polytope
 from .sets.region import Region
+from .systems.pwa import PWASystem
+from .typing import Array
 
 try:
     from matplotlib import rc_context
+    from matplotlib.axes import Axes
     from matplotlib.cm import cividis
+    from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch, Polygon
     from matplotlib.path import Path
     from matplotlib.ticker import MaxNLocator
 except ImportError as missing:
     raise MissingExtraError("a figure", "matplotlib", "plot") from missing
 
-GREEN, BLUE, RED, BLACK, GREY = "#009E73", "#0072B2", "#D55E00", "#000000", "#9A9A9A"
-ORANGE, PURPLE = "#E69F00", "#CC79A7"
-SAFE = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
-TERMINAL = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
-EARLIER = {"facecolor": "none", "edgecolor": GREEN, "linewidth": 0.7, "linestyle": (0, (5, 3))}
-SEQUENCE = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
-MAXIMAL = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
+GREEN = "#009E73"
+BLUE = "#0072B2"
+RED = "#D55E00"
+BLACK = "#000000"
+GREY = "#9A9A9A"
+ORANGE = "#E69F00"
+PURPLE = "#CC79A7"
+Style = dict[str, Any]  # options of a matplotlib artist
+SAFE: Style = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
+TERMINAL: Style = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
+EARLIER: Style = {"facecolor": "none", "edgecolor": GREEN, "linewidth": 0.7, "linestyle": (0, (5, 3))}
+SEQUENCE: Style = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
+MAXIMAL: Style = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
+ARROWS = 34  # grid points per axis of a vector field
 GOLDEN = 0.618034  # multiples of it, less whole numbers, spread evenly: jitter that is the same every time
 
 
-def draw_set(ax, P, **style):
+def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
     """Draw a bounded Polytope of the plane.
 
     Parameters
@@ -47,6 +65,13 @@ def draw_set(ax, P, **style):
     Returns
     -------
     matplotlib artist
+
+    Examples
+    --------
+    >>> figure, ax = new_figure((3, 3))
+    >>> patch = draw_set(ax, Polytope.box([0, 0], [1, 1]), **SAFE)
+    >>> len(ax.patches)
+    1
     """
     corners = P.vertices()
     if len(corners) > 2:
@@ -56,7 +81,7 @@ def draw_set(ax, P, **style):
     return ax.plot(*corners.T, line, color=colour, linewidth=style.get("linewidth"), label=label)[0]
 
 
-def draw_region(ax, region, **style):
+def draw_region(ax: Axes, region: Region, **style: Any) -> Any:
     """Draw the polygons of a Region, holes left open; its segments and points are not shown.
 
     Parameters
@@ -69,25 +94,32 @@ def draw_region(ax, region, **style):
     Returns
     -------
     matplotlib artist
+
+    Examples
+    --------
+    >>> figure, ax = new_figure((3, 3))
+    >>> patch = draw_region(ax, Region.of(Polytope.box([0, 0], [1, 1])), **MAXIMAL)
+    >>> len(ax.patches)
+    1
     """
     paths = [Path(ring, closed=True) for ring in region.rings()]
     return ax.add_patch(PathPatch(Path.make_compound_path(*paths) if paths else Path(np.zeros((0, 2))), **style))
 
 
-def draw_regions(ax, system):
+def draw_regions(ax: Axes, system: PWASystem) -> None:
     """Thick grey outlines of the mode regions, as far as they do not depend on u."""
     for region in system.state_regions():
         draw_set(ax, region, facecolor="none", edgecolor=GREY, linewidth=2.2, zorder=0.5)
 
 
-def draw_trajectories(ax, trajectories, **style):
+def draw_trajectories(ax: Axes, trajectories: Array, **style: Any) -> None:
     """Draw one trajectory (steps + 1, 2) or several (N, steps + 1, 2) as thin lines; a label is given once."""
     label = style.pop("label", None)
     for i, path in enumerate(trajectories if trajectories.ndim == 3 else trajectories[None]):
         ax.plot(*path.T, label=label if i == 0 else None, **style)
 
 
-def label_axes(ax, P, title=None):
+def label_axes(ax: Axes, P: Polytope, title: str | None = None) -> None:
     """Axis labels with the paper's symbols, equal scales, and limits that show the Polytope P with a small margin."""
     lower, upper = P.bounding_box()
     margin = 0.04 * (upper - lower)
@@ -102,18 +134,24 @@ def label_axes(ax, P, title=None):
         ax.set_title(title)
 
 
-def legend_above(ax, columns):
+def legend_above(ax: Axes, columns: int) -> None:
     """A legend over the axes, where it hides nothing."""
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize="small")
 
 
-def save_svg(figure, file, **options):
+def new_figure(size: tuple[float, float], dpi: float | None = None) -> tuple[Figure, Axes]:
+    """A figure of `size` inches with one set of Axes, which no window shows: (Figure, Axes)."""
+    figure = Figure(figsize=size, dpi=dpi, layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def save_svg(figure: Figure, file: Any, **options: Any) -> None:
     """Write a figure as SVG to an open file; the same figure gives the same content."""
     with rc_context({"svg.hashsalt": "mireach"}):
         figure.savefig(file, format="svg", metadata={"Date": None}, **options)
 
 
-def save_figure(figure, path, **options):
+def save_figure(figure: Figure, path: str | PathLike[str], **options: Any) -> None:
     """Write a figure to a file, whole or not at all; what `path` ends in, such as .svg or .png, is the format.
 
     Parameters
@@ -131,11 +169,11 @@ def save_figure(figure, path, **options):
     write_whole(path, content.getvalue())
 
 
-def plot_sequence(ax, system, safe, terminal):
+def plot_sequence(ax: Axes, system: PWASystem, safe: SafeSet, terminal: TerminalSet) -> None:
     """Figure 1: F_max in green, the shrinking R_k-bar(F_max) as black outlines, the terminal set in blue."""
-    zoom = ax.inset_axes([0.635, 0.055, 0.27, 0.27])
+    zoom = ax.inset_axes((0.635, 0.055, 0.27, 0.27))
     for panel in (ax, zoom):
-        draw_set(panel, safe.set, **SAFE, label=r"$\mathcal{F}_{\max}$")
+        draw_set(panel, _set_of(safe), **SAFE, label=r"$\mathcal{F}_{\max}$")
         for k, R in enumerate(terminal.history[1:-1], start=1):
             label = rf"$\overline{{\mathcal{{R}}}}_k,\ k = 1, \dots, {terminal.steps - 1}$" if k == 1 else None
             draw_set(panel, R, **SEQUENCE, label=label)
@@ -148,7 +186,14 @@ def plot_sequence(ax, system, safe, terminal):
     legend_above(ax, 3)
 
 
-def plot_tubes(ax, system, safe, terminal, tubes, nominal):
+def plot_tubes(
+    ax: Axes,
+    system: PWASystem,
+    safe: SafeSet,
+    terminal: TerminalSet,
+    tubes: Sequence[Array],
+    nominal: Sequence[Array] | Array,
+) -> None:
     """Figure 2: disturbed trajectories from two states, the nominal ones, F_max, terminal set and regions.
 
     Parameters
@@ -157,7 +202,7 @@ def plot_tubes(ax, system, safe, terminal, tubes, nominal):
     nominal : two arrays (steps + 1, 2)
     """
     draw_regions(ax, system)
-    draw_set(ax, safe.set, **{**SAFE, "facecolor": "none"}, label=r"$\mathcal{F}_{\max}$")
+    draw_set(ax, _set_of(safe), **{**SAFE, "facecolor": "none"}, label=r"$\mathcal{F}_{\max}$")
     for tube, colour, style in zip(tubes, (GREEN, BLUE), ("-", "--")):
         start = ", ".join(f"{value:.2f}".rstrip("0").rstrip(".") for value in tube[0, 0])
         label = f"{len(tube)} disturbed from ({start})"
@@ -177,7 +222,15 @@ def plot_tubes(ax, system, safe, terminal, tubes, nominal):
     legend_above(ax, 3)
 
 
-def plot_vector_field(ax, system, safe, terminal, step, path, reach, arrows=34):
+def plot_vector_field(
+    ax: Axes,
+    system: PWASystem,
+    safe: SafeSet,
+    terminal: TerminalSet,
+    step: Callable[[Array], Array],
+    path: Array,
+    reach: Sequence[Polytope],
+) -> None:
     """Figure 3: the loop's vector field in F_max, one trajectory, and the reachable sets around its states.
 
     Parameters
@@ -188,14 +241,13 @@ def plot_vector_field(ax, system, safe, terminal, step, path, reach, arrows=34):
         The trajectory of the plant.
     reach : list of Polytope
         R_i-bar of its first state, i = 1, ..., k.
-    arrows : int
-        Grid points per axis.
     """
     draw_regions(ax, system)
-    draw_set(ax, safe.set, **SAFE, label=r"$\mathcal{F}_{\max}$")
-    lower, upper = safe.set.bounding_box()
-    grid = np.stack(np.meshgrid(*np.linspace(lower, upper, arrows).T), axis=-1).reshape(-1, 2)
-    grid = grid[safe.set.contains(grid)]
+    F = _set_of(safe)
+    draw_set(ax, F, **SAFE, label=r"$\mathcal{F}_{\max}$")
+    lower, upper = F.bounding_box()
+    grid = np.stack(np.meshgrid(*np.linspace(lower, upper, ARROWS).T), axis=-1).reshape(-1, 2)
+    grid = grid[F.contains(grid)]
     move = step(grid) - grid
     ax.quiver(*grid.T, *move.T, color="#777777", angles="xy", scale_units="xy", scale=4, width=0.002, zorder=1.5)
     draw_set(ax, terminal.set, **TERMINAL, label=r"$\overline{\mathcal{R}}_{\min}$", zorder=2)
@@ -203,11 +255,11 @@ def plot_vector_field(ax, system, safe, terminal, step, path, reach, arrows=34):
         label = r"$\overline{\mathcal{R}}_i(\{x(0)\})$" if i == 0 else None
         draw_set(ax, R, facecolor="none", edgecolor=BLACK, linewidth=1.0, zorder=3, label=label)
     ax.plot(*path.T, color=RED, linewidth=1.5, marker="o", markersize=3, zorder=4, label="trajectory of the plant")
-    label_axes(ax, safe.set)
+    label_axes(ax, F)
     legend_above(ax, 4)
 
 
-def plot_maximal(ax, system, safe, maximal):
+def plot_maximal(ax: Axes, system: PWASystem, safe: SafeSet, maximal: MaximalSafeSet) -> None:
     """F_max inside the maximal safe set inside X, with their areas; what is dotted can be driven out of X.
 
     Parameters
@@ -216,19 +268,21 @@ def plot_maximal(ax, system, safe, maximal):
     maximal : MaximalSafeSet
         With a set.
     """
-    X, F = Region.of(system.state_set), Region.of(safe.set)
+    X = Region.of(system.state_set)
+    S = _set_of(maximal)
+    F = _set_of(safe)
     label = r"lost: can be driven out of $\mathcal{X}$"
-    draw_region(ax, X - maximal.set, facecolor="#F2F2F2", edgecolor=GREY, linewidth=0, hatch="....", label=label)
-    label = f"maximal safe set, {maximal.set.area / F.area:.1f} times as large"
-    draw_region(ax, maximal.set, **MAXIMAL, label=label)
+    draw_region(ax, X - S, facecolor="#F2F2F2", edgecolor=GREY, linewidth=0, hatch="....", label=label)
+    label = f"maximal safe set, {S.area / Region.of(F).area:.1f} times as large"
+    draw_region(ax, S, **MAXIMAL, label=label)
     own = {**SAFE, "facecolor": "#009E7380", "hatch": "////"}
-    draw_set(ax, safe.set, **own, label=r"the paper's $\mathcal{F}_{\max}$")
+    draw_set(ax, F, **own, label=r"the paper's $\mathcal{F}_{\max}$")
     draw_region(ax, X, facecolor="none", edgecolor=BLACK, linewidth=1.2)
     label_axes(ax, system.state_set)
     legend_above(ax, 3)
 
 
-def plot_lost(ax, history, state_set):
+def plot_lost(ax: Axes, history: Sequence[Region], state_set: Polytope) -> None:
     """Which states are lost at which step of S_0, S_1, ...: darker is later, white with a blue edge is what stays.
 
     Parameters
@@ -245,8 +299,8 @@ def plot_lost(ax, history, state_set):
     label_axes(ax, state_set)
 
 
-def plot_areas(ax, studies, sizes):
-    """Areas of F_max and of the maximal safe set, one mark a network of a seed study, a row of marks for each.
+def plot_areas(ax: Axes, studies: Mapping[str, Sequence[Any]], sizes: Mapping[str, float]) -> None:
+    """Areas of F_max and of the maximal safe set, one mark per network of a seed study, a row of marks for each.
 
     Parameters
     ----------
@@ -256,7 +310,7 @@ def plot_areas(ax, studies, sizes):
         Areas of X, by which the areas are divided.
     """
     marks = (("safe_area", r"$\mathcal{F}_{\max}$", "^", GREEN), ("maximal_area", "maximal set", "o", BLUE))
-    ticks = []
+    ticks: list[str] = []
     for name, rows in studies.items():
         for field, what, marker, colour in marks:
             place = -len(ticks)
@@ -272,7 +326,7 @@ def plot_areas(ax, studies, sizes):
     ax.set_axisbelow(True)
 
 
-def plot_growth(axes, networks, steps):
+def plot_growth(axes: Sequence[Axes], networks: Sequence[Any], steps: Sequence[Any]) -> None:
     """How cells and seconds grow with the network, and seconds with the number of steps.
 
     Parameters
@@ -305,8 +359,10 @@ def plot_growth(axes, networks, steps):
         ax.legend(fontsize="x-small", handlelength=3 if ax is third else None)  # long enough to show dashes
 
 
-def plot_history(axes, history, chosen=None, name=r"\mathcal{F}"):
-    """Small multiples of a sequence of sets: each panel one set over its predecessors, for readers without a kernel.
+def plot_history(
+    axes: Any, history: Sequence[Polytope], chosen: Sequence[int] | None = None, name: str = r"\mathcal{F}"
+) -> None:
+    r"""Small multiples of a sequence of sets: each panel one set over its predecessors, for readers without a kernel.
 
     Parameters
     ----------
@@ -317,17 +373,26 @@ def plot_history(axes, history, chosen=None, name=r"\mathcal{F}"):
         The steps shown; None spreads them evenly from the first to the last.
     name : str
         Of the sets, in mathtext.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> axes = Figure().subplots(1, 2)
+    >>> plot_history(axes, [Polytope.box([-r, -r], [r, r]) for r in (3, 2, 1)])
+    >>> [ax.get_title() for ax in axes]
+    ['$\\mathcal{F}_{0}$', '$\\mathcal{F}_{2}$']
     """
     axes = np.ravel(axes)
     if chosen is None:
-        chosen = np.unique(np.linspace(0, len(history) - 1, min(len(axes), len(history))).round().astype(int))
+        spread = np.linspace(0, len(history) - 1, min(len(axes), len(history)))
+        chosen = np.unique(spread.round().astype(int)).tolist()
     for ax, k in zip(axes, chosen):
         plot_step(ax, history, int(k), name)
     for ax in axes[len(chosen) :]:
         ax.set_axis_off()
 
 
-def plot_step(ax, history, k, name=r"\mathcal{F}"):
+def plot_step(ax: Axes, history: Sequence[Polytope], k: int, name: str = r"\mathcal{F}") -> None:
     """Set k of a sequence in blue, its predecessors as thin outlines; the view stays that of the first set."""
     for before in history[:k]:
         draw_set(ax, before, **{**SEQUENCE, "edgecolor": GREY})
@@ -335,7 +400,7 @@ def plot_step(ax, history, k, name=r"\mathcal{F}"):
     label_axes(ax, history[0], rf"${name}_{{{k}}}$")
 
 
-def plot_look(ax, look, title=None, maximal=None):
+def plot_look(ax: Axes, look: Any, title: str | None = None, maximal: Region | None = None) -> None:
     """One look of the disturbance lab: all F_k and R_k-bar, F_max, terminal set, trajectories, or why there are none.
 
     Parameters
@@ -372,3 +437,10 @@ def plot_look(ax, look, title=None, maximal=None):
     X = look.loop.system.state_set
     shown = X if safe.witness is None else type(X).from_points(np.vstack([X.vertices(), safe.witness.states]))
     label_axes(ax, shown.scale(1.12, shown.chebyshev()[0]), title)
+
+
+def _set_of(result: Any) -> Any:
+    """The set of a SafeSet or MaximalSafeSet; ValueError says why there is none to be drawn."""
+    if result.set is None:
+        raise ValueError(f"there is no set to draw: {result.reason}")
+    return result.set

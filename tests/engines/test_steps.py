@@ -18,8 +18,8 @@ from loops import (
 import mireach as mr
 from mireach import Polytope
 from mireach.arithmetic.rational import fractions, rational
-from mireach.engines.base import Witness
-from mireach.engines.steps import Escape, attained, farthest_step, successor
+from mireach.engines.base import Escape, Witness
+from mireach.engines.steps import attained, farthest_step, successor
 
 
 def in_fractions(loop, witness):

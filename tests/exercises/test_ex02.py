@@ -37,7 +37,7 @@ def test_breaking_needs_a_feasible_model_that_is_wrong_at_the_state_named(solved
     expect(ex02.check_t3, right | {"M": 100.0}, "the model claims Phi <=", "does not contradict")
     expect(ex02.check_t3, right | {"x": [0, 0]}, "Phi(x) =", "does not contradict")
     expect(ex02.check_t3, right | {"x": [5, 0]}, "is not in F")
-    expect(ex02.check_t3, right | {"neuron": 4}, "neuron = 4 must be one of 1, ..., 3")
+    expect(ex02.check_t3, right | {"neuron": 4}, "neuron must be a whole number from 1 to 3; got 4")
     expect(ex02.check_t3, {"M": 1.0}, "keys")
 
 
@@ -71,7 +71,7 @@ def test_tried_states_are_no_bound():
 def test_generous_numbers_and_wrong_layers_are_caught(solved):
     right = solved["network_M"]
     expect(ex02.check_t4, lambda *given: [10 * M for M in right(*given)], "sound, but", "interval arithmetic")
-    expect(ex02.check_t4, lambda *given: right(*given)[:1], "one array a layer")
+    expect(ex02.check_t4, lambda *given: right(*given)[:1], "one array per layer")
     half = lambda *given: [right(*given)[0], 0.1 * right(*given)[1]]  # noqa: E731
     expect(ex02.check_t4, half, "in layer 2", "behind its winner")
 

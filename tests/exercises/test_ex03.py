@@ -90,7 +90,7 @@ def test_witness_is_replayed():
     expect(ex03.check_t3, ([3.0, 1.0], 0.0, 2), "mode 2 does not act", "violated by 1")
     expect(ex03.check_t3, ([1.0, 0.0], 0.0, 2), "is not in F")
     expect(ex03.check_t3, ([4.0, 0.0], 2.0, 2), "is not in U")
-    expect(ex03.check_t3, ([4.0, 0.0], 0.0, 0), "must be one of")
+    expect(ex03.check_t3, ([4.0, 0.0], 0.0, 0), "mode must be a whole number from 1 to 4")
 
 
 def test_share_of_the_length_and_share_beyond_one_are_caught():

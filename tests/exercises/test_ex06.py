@@ -32,7 +32,7 @@ def iterate(loop, C, most, cut=True, last=True, shift=0):
     ("mistake", "hint"),
     [
         ({"cut": False}, "not RPI|but not F_k"),
-        ({"last": False}, "not F_k of eq. Fk"),
+        ({"last": False}, r"not F_k of eq. \(21\), Fk"),
         ({"shift": 1}, "its number is not"),
     ],
 )

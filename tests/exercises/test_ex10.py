@@ -27,7 +27,7 @@ def test_a_target_that_is_not_widened_or_widened_the_wrong_way_is_caught():
 def test_a_forgotten_cell_and_a_forgotten_offset_are_caught(solved):
     expect(ex10.check_t1, lambda C, M, c, D, T: mr.Polytope(T.H @ M, T.h + D.support(-T.H) - T.H @ c), "cell C")
     expect(ex10.check_t1, lambda C, M, c, D, T: solved["lost_in_cell"](C, M, 0 * c, D, T), "T")
-    expect(ex10.check_t1, lambda C, M, c, D, T: C.vertices(), "must return a Polytope")
+    expect(ex10.check_t1, lambda C, M, c, D, T: C.vertices(), "must be a Polytope; got ndarray")
 
 
 def test_one_step_is_not_enough_and_too_much_is_too_much(solved):

@@ -9,8 +9,7 @@ import browser
 import numpy as np
 import pytest
 
-from mireach import Polytope
-from mireach.lab import model as lab
+from mireach import Polytope, lab
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 PIXEL = 0.05  # accuracy of what is drawn, in pixels of the picture

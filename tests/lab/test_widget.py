@@ -8,7 +8,8 @@ from loops import random_loop
 from traitlets import TraitError
 
 from mireach import Region, maximal_safe_set
-from mireach.lab.model import ACCURACY, look, subject
+from mireach.lab import look, subject
+from mireach.lab.search import ACCURACY
 from mireach.lab.widget import DisturbanceLab, step_viewer
 
 
@@ -125,6 +126,11 @@ MALFORMED = [
     {"do": "save", "kind": "png"},
     {"do": "save", "kind": ["figure"]},
     {"do": "save", "kind": None},
+    {"do": "save", "kind": "sets", "path": "/tmp"},
+    {"do": "idle", "stamp": 1},
+    {"do": "layer", 1: 1},
+    {"do": "look", "stamp": 1, "settings": {}, "amount": 1},
+    {"do": "look", "stamp": True, "settings": {}},
 ]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import mireach as mr
 from mireach.errors import CorruptFileError
-from mireach.studies.case_studies import NAMES, PAPER, data_file, load_sets
+from mireach.studies.case_studies import CASES, NAMES, PAPER_NAMES, data_file, load_sets
 
 BOUNDARY_POINTS = {
     "pwa": [(0.0, -4.0), (3.0, 0.0), (0.0, 0.0), (-5.0, 0.0), (0.0, 10.0)],
@@ -16,7 +16,7 @@ BOUNDARY_POINTS = {
 LARGER = ("three_tanks", "four_tanks")  # more than two states: no cells, no vertices drawn by hand
 
 
-@pytest.fixture(scope="module", params=PAPER)
+@pytest.fixture(scope="module", params=PAPER_NAMES)
 def case(request):
     return mr.case_study(request.param)
 
@@ -37,9 +37,31 @@ def terminal(case, safe):
 
 
 def test_unknown_case_is_refused_with_the_names():
-    assert NAMES == (*PAPER, *LARGER)
+    assert NAMES == (*PAPER_NAMES, *LARGER)
     with pytest.raises(ValueError, match="pwa, double_integrator, three_tanks, four_tanks"):
         mr.case_study("pwm")
+
+
+def test_a_name_that_is_no_text_is_a_type_error():
+    with pytest.raises(TypeError, match="name must be of the kind str; got int 3"):
+        mr.case_study(3)
+
+
+def test_a_case_is_shown_as_one_line_and_as_a_table(case):
+    text, table = str(case), case._repr_html_()
+    assert text.startswith(f"case {case.name}: n = 2, m = 1, {len(case.system.modes)} modes") and "\n" not in text
+    assert table.startswith("<table>") and f"|d|_inf &lt;= {case.disturbance_bound:g}" in table
+    assert case.name in str(case.definition)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_definition_agrees_with_the_shipped_files(name):
+    definition, case = CASES[name], mr.case_study(name)
+    hidden = case.network.hidden[:-2]
+    assert [(layer.width, layer.pool) for layer in hidden] == [definition.shape[1:]] * definition.shape.layers
+    assert case.starts.tolist() == definition.starts and case.paper == definition.paper
+    assert (definition.fit is None) == (case.fit is None) == (case.plant is None)
+    assert (definition.slider is None) == (case.system.state_size > 2)
 
 
 def test_shipped_network_has_the_paper_s_shape_and_stays_in_U(case):

@@ -15,7 +15,7 @@ from mireach.analysis.maximal_set import maximal_safe_set
 from mireach.errors import CorruptFileError
 from mireach.learning.datasets import make_four_tanks_data
 from mireach.studies import seed_study as seeds
-from mireach.studies.case_studies import PAPER, case_study, data_file
+from mireach.studies.case_studies import CASES, PAPER_NAMES, case_study, data_file
 from mireach.studies.seed_study import (
     SeedRow,
     analyse_seed,
@@ -132,6 +132,21 @@ def test_an_interrupted_study_is_resumed_and_gives_what_it_would_have_given(tmp_
     assert trained[6:] == [0]
 
 
+def test_a_change_of_any_module_makes_another_origin(tmp_path, monkeypatch):
+    package = tmp_path / "mireach"
+    shutil.copytree(seeds.PACKAGE, package, ignore=shutil.ignore_patterns("data", "static", "__pycache__"))
+    assert (package / "engines" / "milp" / "engine.py").is_file() and (package / "studies" / "seed_study.py").is_file()
+    origin = seeds._origin("pwa", {})
+    monkeypatch.setattr(seeds, "PACKAGE", package)
+    assert seeds._origin("pwa", {}) == origin != seeds._origin("pwa", {"steps": 5})
+    for module in ("__main__.py", "engines/cells.py", "engines/milp/engine.py", "learning/mpc/nonlinear.py"):
+        content = (package / module).read_bytes()
+        (package / module).write_bytes(content + b"# changed\n")
+        assert seeds._origin("pwa", {}) != origin
+        (package / module).write_bytes(content)
+    assert seeds._origin("pwa", {}) == origin
+
+
 def test_a_finished_study_leaves_no_kept_seeds(tmp_path, monkeypatch):
     row, network = load_rows(data_file("pwa", "seeds.csv"))[72], load_networks("pwa")[72]
     monkeypatch.setattr(seeds, "run_seed", lambda name, seed, **training: (replace(row, seed=seed), network))
@@ -148,7 +163,7 @@ def test_choice_prefers_the_paper_s_figures_among_good_losses():
         choose("pwa", [no_criterion])
 
 
-@pytest.mark.parametrize("name", PAPER)
+@pytest.mark.parametrize("name", PAPER_NAMES)
 def test_shipped_study_holds_fifty_seeds_and_the_shipped_network_is_the_chosen_one(name):
     rows, networks = load_rows(data_file(name, "seeds.csv")), load_networks(name)
     assert len(rows) >= 50 and set(networks) == {row.seed for row in rows}
@@ -164,7 +179,7 @@ def test_shipped_study_holds_fifty_seeds_and_the_shipped_network_is_the_chosen_o
     )
 
 
-@pytest.mark.parametrize("name", PAPER)
+@pytest.mark.parametrize("name", PAPER_NAMES)
 def test_shipped_study_holds_the_maximal_safe_sets(name):
     rows = load_rows(data_file(name, "seeds.csv"))
     for row in rows:
@@ -228,7 +243,8 @@ def test_cases_that_are_not_the_paper_s_have_no_study(tmp_path):
 
 def test_training_a_case_without_a_study_writes_its_certificate(tmp_path, monkeypatch):
     shipped = case_study("four_tanks").network
-    monkeypatch.setitem(seeds.MAKERS, "four_tanks", partial(make_four_tanks_data, count=20))
+    small = replace(CASES["four_tanks"], make_data=partial(make_four_tanks_data, count=20))
+    monkeypatch.setitem(CASES, "four_tanks", small)
     monkeypatch.setattr(seeds, "train_case", lambda *_, **__: (shipped, 0.0))
     monkeypatch.setattr(seeds, "terminal_set", partial(seeds.terminal_set, max_steps=1))
     said = seeds.retrain("four_tanks", folder=tmp_path, progress=False)

@@ -1,19 +1,21 @@
 """Checks of exercise 02: a maxout network as mixed-integer constraints."""
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from ..sets.polytope import Polytope
 from ..systems.network import Layer, MaxoutNetwork
-from .common import Wrong, require, require_array, require_filled
+from ..typing import Array
+from .common import require, require_array, require_filled, require_number, require_pair, require_whole, text
 
 TOL = 1e-9  # for numbers that differ by rounding only
 NOTICEABLE = 0.05  # by how much a broken model must be wrong in task 3, in units of Phi
 INTEGRAL = 1e-6  # how far from 0 or 1 a binary may be for a solver, as HiGHS has it
 
 
-def example():
+def example() -> tuple[MaxoutNetwork, Polytope]:
     """The network of task 3, with weights of one decimal, and the box F of its inputs.
 
     Returns
@@ -25,8 +27,8 @@ def example():
     return _network(np.random.default_rng(9)), Polytope.box([-4, -4], [4, 4])
 
 
-def largest_output(net, F, M):
-    """max Phi(x) over x in F by eq. MI_Constraints_NN, with the same big-M in every row.
+def largest_output(net: MaxoutNetwork, F: Polytope, M: float) -> float:
+    """max Phi(x) over x in F by eq. (9), MI_Constraints_NN, with the same big-M in every row.
 
     Parameters
     ----------
@@ -42,19 +44,24 @@ def largest_output(net, F, M):
     """
     import cvxpy as cp
 
-    x = cp.Variable(net.input_size)
-    q, constraints = x, [F.H @ x <= F.h]
+    x: Any = cp.Variable(net.input_size)
+    constraints: list[Any] = [F.H @ x <= F.h]
+    q = x
     for layer in net.hidden:
         z, q = layer.weight @ q + layer.bias, cp.Variable(layer.width)
         for neuron in range(layer.width):
             A_l, delta = slice(layer.pool * neuron, layer.pool * (neuron + 1)), cp.Variable(layer.pool, boolean=True)
-            constraints += [q[neuron] <= z[A_l] + M * (1 - delta), -q[neuron] <= -z[A_l], cp.sum(delta) == 1]
+            constraints += [
+                q[neuron] <= z[A_l] + M * (1 - delta),
+                -q[neuron] <= -z[A_l],
+                np.ones(layer.pool) @ delta == 1,
+            ]
     problem = cp.Problem(cp.Maximize((net.weight @ q + net.bias)[0]), constraints)
     problem.solve(solver="HIGHS")
     return float(problem.value) if problem.status == cp.OPTIMAL else -np.inf
 
 
-def check_t1(counts):
+def check_t1(counts: Any) -> None:
     """Task 1: binaries and channel choices of a saturated ReLU controller with 2, 32, 32 and 1 neurons.
 
     Parameters
@@ -70,7 +77,7 @@ def check_t1(counts):
     relu = [
         Layer(np.ones((64, before)), np.zeros(64), 2) for before in (2, 32)
     ]  # only sizes matter here; (z, 0) are the channels of a ReLU
-    net = MaxoutNetwork(relu, np.ones((1, 32)), np.zeros(1)).saturate(-1, 1)
+    net = MaxoutNetwork(tuple(relu), np.ones((1, 32)), np.zeros(1)).saturate(-1, 1)
     require(
         binaries == net.binaries,
         f"binaries = {binaries:g} is off by {abs(binaries - net.binaries):g}: there is one delta for each channel of "
@@ -85,7 +92,7 @@ def check_t1(counts):
     print(f"ok: {choices:.1e} choices; nobody tries them one by one")
 
 
-def check_t2(smallest_M):
+def check_t2(smallest_M: Any) -> None:
     """Task 2: smallest_M(W, b, lower, upper) for random neurons over random boxes in R^1 to R^3.
 
     Parameters
@@ -101,7 +108,9 @@ def check_t2(smallest_M):
     rng = np.random.default_rng()
     for n in (1, 1, 2, 2, 3):
         p = int(rng.integers(2, 5))
-        W, b, lower = rng.uniform(-2, 2, (p, n)), rng.uniform(-1, 1, p), rng.uniform(-2, 1, n)
+        W = rng.uniform(-2, 2, (p, n))
+        b = rng.uniform(-1, 1, p)
+        lower = rng.uniform(-2, 1, n)
         upper = lower + rng.uniform(0.5, 2, n)
         M = require_array(smallest_M(W, b, lower, upper), (p,), "smallest_M(W, b, lower, upper)")
         corners = np.array(list(product(*zip(lower, upper))))
@@ -111,7 +120,7 @@ def check_t2(smallest_M):
             k = int(np.argmax(behind[:, j]))
             require(
                 M[j] >= behind[k, j] - TOL,
-                f"M_{j + 1} = {M[j]:.3f} is too small: at x = {_text(corners[k])} channel {j + 1} is {z[k, j]:.3f} and "
+                f"M_{j + 1} = {M[j]:.3f} is too small: at x = {text(corners[k])} channel {j + 1} is {z[k, j]:.3f} and "
                 f"the winner {z[k].max():.3f}, so q <= z_{j + 1} + M_{j + 1} cuts this state off",
             )
             require(
@@ -123,7 +132,7 @@ def check_t2(smallest_M):
     print("ok: just big enough, and no bigger")
 
 
-def check_t3(broken):
+def check_t3(broken: Any) -> None:
     """Task 3: a big-M for which the model is wrong unnoticed, a state it lost, and the row that forbids it.
 
     Parameters
@@ -142,8 +151,8 @@ def check_t3(broken):
     for name in names:
         require_filled(broken[name], f'broken["{name}"]')
     net, F = example()
-    M, x = float(require_array(broken["M"], (), "M")), require_array(broken["x"], (2,), "x")
-    require(F.contains(x, tol=TOL), f"x = {_text(x)} is not in F")
+    M, x = require_number(broken["M"], "M"), require_array(broken["x"], (2,), "x")
+    require(F.contains(x, tol=TOL), f"x = {text(x)} is not in F")
     claim = largest_output(net, F, M)
     require(claim > -np.inf, f"with M = {M:g} no state is left, and the solver says so; find an M that nobody notices")
     output = float(net(x)[0])
@@ -154,30 +163,30 @@ def check_t3(broken):
     )
     layers = _behind(net, x)
     where = [
-        _index(broken["layer"], len(layers), "layer"),
-        _index(broken["neuron"], net.hidden[0].width, "neuron"),
-        _index(broken["channel"], net.hidden[0].pool, "channel"),
+        require_whole(broken["layer"], "layer", 1, len(layers)) - 1,
+        require_whole(broken["neuron"], "neuron", 1, net.hidden[0].width) - 1,
+        require_whole(broken["channel"], "channel", 1, net.hidden[0].pool) - 1,
     ]
     gap = layers[where[0]][where[1], where[2]]
     row = f"channel {where[2] + 1} of neuron {where[1] + 1} in layer {where[0] + 1}"
     require(
         gap > M,
-        f"with M = {M:g} the model has indeed lost x = {_text(x)}, but not by {row}: there this channel is {gap:.3f} "
+        f"with M = {M:g} the model has indeed lost x = {text(x)}, but not by {row}: there this channel is {gap:.3f} "
         f"behind its winner, which M = {M:g} allows",
     )
     print(
-        f"ok: the model claims Phi <= {claim:.3f}, but Phi({_text(x)}) = {output:.3f}. Unsound, for {row} is "
+        f"ok: the model claims Phi <= {claim:.3f}, but Phi({text(x)}) = {output:.3f}. Unsound, for {row} is "
         f"{gap:.3f} behind its winner there, and q <= z_j + {M:g} cannot hold"
     )
 
 
-def check_t4(network_M):
+def check_t4(network_M: Any) -> None:
     """Task 4: network_M(net, lower, upper), a sound big-M for each channel, no larger than interval arithmetic's.
 
     Parameters
     ----------
     network_M : callable
-        MaxoutNetwork, (n,), (n,) -> list of arrays (w, p), one a layer.
+        MaxoutNetwork, (n,), (n,) -> list of arrays (w, p), one per layer.
 
     Raises
     ------
@@ -191,7 +200,7 @@ def check_t4(network_M):
         upper = lower + rng.uniform(1, 4, 2)
         M = network_M(net, lower, upper)
         require_filled(M, "network_M(net, lower, upper)")
-        require(len(M) == len(net.hidden), f"network_M must return one array a layer; got {len(M)} for 2 layers")
+        require(len(M) == len(net.hidden), f"network_M must return one array per layer; got {len(M)} for 2 layers")
         M = [require_array(M_i, (3, 3), f"M of layer {i}") for i, M_i in enumerate(M, start=1)]
         corners = np.array(list(product(*zip(lower, upper))))
         states = np.vstack([corners, rng.uniform(lower, upper, (20000, 2))])
@@ -199,7 +208,7 @@ def check_t4(network_M):
             k, neuron, j = np.unravel_index(np.argmax(behind - M_i), behind.shape)
             require(
                 behind[k, neuron, j] <= M_i[neuron, j] + TOL,
-                f"cuts states off: at x = {_text(states[k])}, channel {j + 1} of neuron {neuron + 1} in layer {i} is "
+                f"cuts states off: at x = {text(states[k])}, channel {j + 1} of neuron {neuron + 1} in layer {i} is "
                 f"{behind[k, neuron, j]:.3f} behind its winner, but its M is {M_i[neuron, j]:.3f}. A bound must hold "
                 "for every state, tried or not, and for the inputs that this layer gets",
             )
@@ -212,7 +221,7 @@ def check_t4(network_M):
     print("ok: no state is cut off")
 
 
-def check_t5(cheat):
+def check_t5(cheat: Any) -> None:
     """Task 5: cheat(z, M) = (q, delta), feasible for a solver, with q as wrong as its tolerance permits.
 
     Parameters
@@ -228,15 +237,9 @@ def check_t5(cheat):
     rng = np.random.default_rng()
     for M in (1e5, 1e6, 1e7):
         z = rng.uniform(-3, 3, int(rng.integers(2, 5)))
-        answer = cheat(z, M)
-        require_filled(answer, "cheat(z, M)")
-        try:
-            q, delta = answer
-        except (TypeError, ValueError):
-            raise Wrong("cheat(z, M) must return the pair (q, delta)") from None
-        require_filled(q, "q")
-        q, delta = float(require_array(q, (), "q")), require_array(delta, z.shape, "delta")
-        case = f"M = {M:g}, z = {_text(z)}"
+        pair = require_pair(cheat(z, M), "cheat(z, M)", "(q, delta)")
+        q, delta = require_number(pair[0], "q"), require_array(pair[1], z.shape, "delta")
+        case = f"M = {M:g}, z = {text(z)}"
         off = np.abs(delta - delta.round())
         j = int(np.argmax(off))
         require(
@@ -261,16 +264,16 @@ def check_t5(cheat):
 # -- helpers --------------------------------------------------------------------------------------
 
 
-def _network(rng):
+def _network(rng: np.random.Generator) -> MaxoutNetwork:
     """A 3x3 network of two layers from R^2 to R, with weights of one decimal."""
 
-    def tenths(*shape):
+    def tenths(*shape: int) -> Array:
         return rng.integers(-10, 11, shape) / 10
 
-    return MaxoutNetwork([Layer(tenths(9, n), tenths(9), 3) for n in (2, 3)], tenths(1, 3), tenths(1))
+    return MaxoutNetwork(tuple(Layer(tenths(9, n), tenths(9), 3) for n in (2, 3)), tenths(1, 3), tenths(1))
 
 
-def _behind(net, x):
+def _behind(net: MaxoutNetwork, x: Array) -> list[Array]:
     """How far each channel is behind its neuron's winner: for each layer an array (..., w, p)."""
     found = []
     for layer in net.hidden:
@@ -280,24 +283,13 @@ def _behind(net, x):
     return found
 
 
-def _interval_M(net, lower, upper):
-    """The big-M that interval arithmetic gives, one array (w, p) a layer."""
+def _interval_M(net: MaxoutNetwork, lower: Array, upper: Array) -> list[Array]:
+    """The big-M that interval arithmetic gives, one array (w, p) per layer."""
     found = []
     for layer in net.hidden:
         low = layer.channels((lower + upper) / 2)
-        reach = (np.abs(layer.weight) @ ((upper - lower) / 2)).reshape(low.shape)
-        low, high = low - reach, low + reach
+        half_width = (np.abs(layer.weight) @ ((upper - lower) / 2)).reshape(low.shape)
+        low, high = low - half_width, low + half_width
         found.append(high.max(axis=-1, keepdims=True) - low)
         lower, upper = low.max(axis=-1), high.max(axis=-1)
     return found
-
-
-def _index(answer, count, name):
-    """A number counted from 1, as an index."""
-    number = float(require_array(answer, (), name))
-    require(number in range(1, count + 1), f"{name} = {number:g} must be one of 1, ..., {count}")
-    return int(number) - 1
-
-
-def _text(x):
-    return "(" + ", ".join(f"{value:.3f}" for value in np.ravel(x)) + ")"

@@ -1,11 +1,23 @@
 """Checks of exercise 03: a piecewise-affine system as mixed-integer constraints."""
 
+from typing import Any
+
 import numpy as np
 
 from ..sets.polytope import Polytope
 from ..systems.plants import pwa_plant
 from ..systems.pwa import Mode, PWASystem
-from .common import Wrong, require, require_array, require_filled
+from ..typing import Array
+from .common import (
+    Wrong,
+    require,
+    require_array,
+    require_filled,
+    require_number,
+    require_pair,
+    require_whole,
+    text,
+)
 
 TOL = 1e-9  # for numbers that differ by rounding only
 SOLVER_TOL = 1e-5  # what the MILPs of task 2 are trusted to, in units of x
@@ -13,7 +25,7 @@ POINTS = ((3.0, 2.0), (0.0, 5.0), (4.0, 0.0), (0.0, 0.0))  # of task 1
 FRICTION = {"gain": 0.5, "loss": 0.1}  # of task 5
 
 
-def claim():
+def claim() -> tuple[PWASystem, Polytope, Polytope]:
     """The four-mode plant without disturbance, a set F, and a set G of which task 3 is to show that it is too small.
 
     Returns
@@ -28,13 +40,13 @@ def claim():
     return system, F, Polytope.from_points(np.vstack(ends))
 
 
-def friction(x, u):
+def friction(x: Any, u: Any) -> Any:
     """The next velocity of the mass of task 5: v = x + 0.5 u loses 0.1 by friction, or comes to rest."""
     v = x + FRICTION["gain"] * u
     return np.sign(v) * np.maximum(np.abs(v) - FRICTION["loss"], 0.0) + 0.0  # no -0
 
 
-def check_t1(counts):
+def check_t1(counts: Any) -> None:
     """Task 1: for each of four states (u = 0.5), the number of possible gamma and of different successors.
 
     Parameters
@@ -66,7 +78,7 @@ def check_t1(counts):
     print("ok: more choices do not always mean more successors")
 
 
-def check_t2(step_model):
+def check_t2(step_model: Any) -> None:
     """Task 2: step_model(system, xi, XU) = (x+, constraints), on random systems, at random and at boundary points.
 
     Parameters
@@ -85,12 +97,12 @@ def check_t2(step_model):
     for n, shift in ((1, 0.0), (2, 0.0), (2, 4.0), (2, 400.0)):  # the last: beyond any round number
         system, normal, level = _random_system(rng, n, shift)
         XU = system.state_set.product(system.input_set)
-        xi, at, v = cp.Variable(n + 1), cp.Parameter(n + 1), cp.Parameter(n)
+        xi = cp.Variable(n + 1)
+        at = cp.Parameter(n + 1)
+        v = cp.Parameter(n)
         answer = step_model(system, xi, XU)
-        require_filled(answer, "step_model(system, xi, XU)")
-        require(isinstance(answer, tuple) and len(answer) == 2, "step_model must return the pair (x+, constraints)")
-        require_filled(answer[0], "x+")
-        after, constraints = answer
+        after, constraints = require_pair(answer, "step_model(system, xi, XU)", "(x+, constraints)")
+        require_filled(after, "x+")
         require(getattr(after, "shape", None) == (n,), f"x+ must be a cvxpy expression of shape ({n},)")
         problem = cp.Problem(cp.Maximize(v @ after), [*constraints, xi == at])
         corners = XU.vertices()
@@ -104,7 +116,7 @@ def check_t2(step_model):
     print("ok: your model is the map, on the boundary as well")
 
 
-def check_t3(witness):
+def check_t3(witness: Any) -> None:
     """Task 3: a state of F, an input and a mode whose successor lies outside G.
 
     Parameters
@@ -123,25 +135,24 @@ def check_t3(witness):
         require_filled(part, name)
     system, F, G = claim()
     x, u = require_array(witness[0], (2,), "x"), require_array(np.atleast_1d(witness[1]), (1,), "u")
-    mode = float(require_array(witness[2], (), "mode"))
-    require(mode in (1, 2, 3, 4), f"mode = {mode:g} must be one of 1, 2, 3, 4")
-    require(F.contains(x, tol=TOL), f"x = {_text(x)} is not in F")
+    mode = require_whole(witness[2], "mode", 1, len(system.modes))
+    require(F.contains(x, tol=TOL), f"x = {text(x)} is not in F")
     require(system.input_set.contains(u, tol=TOL), f"u = {u[0]:g} is not in U")
-    outside = system.violation(x[None], u[None])[0, int(mode) - 1]
+    outside = system.violation(x[None], u[None])[0, mode - 1]
     require(
         outside <= TOL,
-        f"mode {mode:g} does not act at x = {_text(x)}: a row of its region is violated by {outside:.3g}",
+        f"mode {mode} does not act at x = {text(x)}: a row of its region is violated by {outside:.3g}",
     )
-    after = system.modes[int(mode) - 1].successor(x, u)
+    after = system.modes[mode - 1].successor(x, u)
     excess = (G.H @ after - G.h).max()
     require(
         excess > 1e-6,
-        f"mode {mode:g} takes x = {_text(x)} to {_text(after)}, and that is in G: this refutes nothing",
+        f"mode {mode} takes x = {text(x)} to {text(after)}, and that is in G: this refutes nothing",
     )
-    print(f"ok: {_text(after)} is a successor of {_text(x)}, and {excess:.3f} outside G")
+    print(f"ok: {text(after)} is a successor of {text(x)}, and {excess:.3f} outside G")
 
 
-def check_t4(share):
+def check_t4(share: Any) -> None:
     """Task 4: share(M), the share of X that eq. gammaForR leaves if all its rows have the same M.
 
     Parameters
@@ -159,18 +170,18 @@ def check_t4(share):
     x = system.state_set.sample(rng, 40000)
     violation = system.violation(x, np.zeros((len(x), 1)))
     for M in (*rng.uniform(1, 9.5, 3), rng.uniform(11, 20)):
-        answer = float(require_array(share(M), (), "share(M)"))
+        answer = require_number(share(M), "share(M)")
         left = (violation.min(axis=1) <= 0) & (violation.max(axis=1) <= M)  # one mode on, all others relaxed by M
         lost = x[np.argmax(violation.max(axis=1))]
         require(
             abs(answer - left.mean()) < 0.02,
             f"M = {M:.2f}: you say {answer:.3f}, but {left.mean():.3f} of 40,000 random states satisfy the rows of one "
-            f"mode, and those of all other modes with M added; x = {_text(lost)} needs M = {violation.max():.2f}",
+            f"mode, and those of all other modes with M added; x = {text(lost)} needs M = {violation.max():.2f}",
         )
     print("ok: what is left is the part of X that is near every region")
 
 
-def check_t5(modes):
+def check_t5(modes: Any) -> None:
     """Task 5: the modes of a mass with friction, whose regions depend on x and u.
 
     Parameters
@@ -206,52 +217,52 @@ def check_t5(modes):
 # -- helpers --------------------------------------------------------------------------------------
 
 
-def _successors(system, x, u, tol=0.0):
+def _successors(system: PWASystem, x: Array, u: Array, tol: float = 0.0) -> dict[int, Array]:
     """The successor by each mode whose closed region contains (x, u): dict of mode (from 1) to (n,)."""
     distance = system.violation(x[None], u[None])[0]
     chosen = np.flatnonzero(distance <= max(tol, distance.min()))
     return {int(i) + 1: system.modes[i].successor(x, u) for i in chosen}
 
 
-def _random_system(rng, n, shift):
+def _random_system(rng: np.random.Generator, n: int, shift: float) -> tuple[PWASystem, Array, float]:
     """Two modes on either side of a random plane {normal (x, u) = level}, the next state off zero by `shift`."""
     normal = rng.choice([-1.0, 1.0], n + 1) * rng.uniform(0.4, 1.0, n + 1)
     level = rng.uniform(-0.3, 0.3)
-    sides = Polytope([normal], [level]), Polytope([-normal], [-level])
+    sides = Polytope(normal[None], np.array([level])), Polytope(-normal[None], np.array([-level]))
     modes = [
         Mode(rng.uniform(-1, 1, (n, n)), rng.uniform(-1, 1, (n, 1)), rng.uniform(-1, 1, n) + shift, P) for P in sides
     ]
     X = Polytope.box(-rng.uniform(1, 4, n), rng.uniform(1, 4, n))
-    return PWASystem(modes, X, Polytope.box([-1], [1])), normal, level
+    return PWASystem(tuple(modes), X, Polytope.box([-1], [1])), normal, level
 
 
-def _compare(problem, v, point, found):
-    """Raise `Wrong` unless the model's max v x+ at a point (x, u) is that of the successors `found`."""
+def _compare(problem: Any, v: Any, point: Array, successors: dict[int, Array]) -> None:
+    """Raise `Wrong` unless the model's max v x+ at a point (x, u) is that of the successors by mode."""
     highest = _solve(problem, v)
-    modes = " and ".join(str(i) for i in found)
-    case = f"at (x, u) = {_text(point)}, which lies in the region of mode {modes},"
-    require(
-        highest is not None,
-        f"{case} your model has no solution: a row that belongs to another mode (gamma_i = 0) is not silent there. "
-        "How large can its left side become over X x U? (Or the limit M of x~ is too small for the next state.)",
-    )
+    modes = " and ".join(str(i) for i in successors)
+    case = f"at (x, u) = {text(point)}, which lies in the region of mode {modes},"
+    if highest is None:
+        raise Wrong(
+            f"{case} your model has no solution: a row that belongs to another mode (gamma_i = 0) is not silent there. "
+            "How large can its left side become over X x U? (Or the limit M of x~ is too small for the next state.)"
+        )
     require(highest < np.inf, f"{case} x+ is unbounded in your model: something does not tie x~ to its mode")
-    reached = max(found, key=lambda i: v.value @ found[i])
-    best = v.value @ found[reached]
+    reached = max(successors, key=lambda i: float(v.value @ successors[i]))
+    best = v.value @ successors[reached]
     require(
         highest <= best + SOLVER_TOL,
-        f"{case} your model admits v x+ = {highest:.4f} for v = {_text(v.value)}, but no mode there gives more than "
+        f"{case} your model admits v x+ = {highest:.4f} for v = {text(v.value)}, but no mode there gives more than "
         f"{best:.4f}: a mode acts outside its region, x~ of a mode that is off is not zero, or that of the mode "
         "that is on is not A x + B u + p",
     )
     require(
         highest >= best - SOLVER_TOL,
-        f"{case} your model admits at most v x+ = {highest:.4f} for v = {_text(v.value)}, but mode {reached} gives "
+        f"{case} your model admits at most v x+ = {highest:.4f} for v = {text(v.value)}, but mode {reached} gives "
         f"{best:.4f}: the model has lost this mode, or part of its successor",
     )
 
 
-def _solve(problem, v):
+def _solve(problem: Any, v: Any) -> float | None:
     """The optimal value; None if there is no solution, inf if there is no bound."""
     import cvxpy as cp
 
@@ -265,7 +276,3 @@ def _solve(problem, v):
     except cp.error.SolverError as error:
         raise Wrong(f"the solver cannot solve your model: {error}") from None
     return np.inf if problem.status == cp.OPTIMAL else None
-
-
-def _text(x):
-    return "(" + ", ".join(f"{value:.3f}" for value in np.ravel(x)) + ")"

@@ -1,20 +1,22 @@
 """Checks of exercise 04: disturbances and one-step sets."""
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from ..analysis.reach import outer_step, support
-from ..analysis.rpi import check_rpi
+from ..analysis.rpi import RPICheck, check_rpi
 from ..engines.cvxpy_model import model
 from ..sets.polytope import Polytope
 from ..sets.templates import box_directions
 from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
-from ..systems.network import Layer, MaxoutNetwork
+from ..systems.network import MaxoutNetwork
 from ..systems.plants import chessboard, pwa_plant
 from ..systems.pwa import Mode, PWASystem
-from .common import Wrong, require, require_array
+from ..typing import Array
+from .common import Wrong, random_network, require, require_array, require_number, text, with_bound
 
 TOL = 1e-7  # for numbers that differ by rounding only; all data here are of size 10
 LEAVES = 1e-6  # a witness has to leave a set by at least this
@@ -26,7 +28,7 @@ BETTER = 0.01  # in task 5, another set may be better by this bound of the distu
 SHARE = 0.75  # of the box's area, to be reached in task 6
 
 
-def check_t1(binaries):
+def check_t1(binaries: Any) -> None:
     """Task 1: binaries(loop, k) = number of binary variables of the MILP of Lemma 2, on random loops.
 
     Parameters
@@ -41,8 +43,8 @@ def check_t1(binaries):
     """
     rng = np.random.default_rng()
     for side, steps in ((1, 1), (2, 1), (1, 3), (3, 2)):
-        loop = ClosedLoop(_random_system(rng, side), _random_network(rng))
-        answer = float(require_array(binaries(loop, steps), (), "binaries(loop, k)"))
+        loop = ClosedLoop(_random_system(rng, side), _saturated_network(rng))
+        answer = require_number(binaries(loop, steps), "binaries(loop, k)")
         problem, *_ = model(loop, loop.system.state_set, steps)
         truth = sum(variable.size for variable in problem.variables() if variable.attributes["boolean"])
         layers = ", ".join(f"{layer.width} neurons with {layer.pool} channels" for layer in loop.network.hidden)
@@ -54,7 +56,7 @@ def check_t1(binaries):
     print("ok: the binary variables of Lemma 2's MILP")
 
 
-def check_t2(support_of_step):
+def check_t2(support_of_step: Any) -> None:
     """Task 2: support_of_step(system, x, u, C) = h of the successors of one state along C, boundaries included.
 
     Parameters
@@ -80,17 +82,17 @@ def check_t2(support_of_step):
         truth = support(ClosedLoop(system, constant), Polytope.box(x, x), C)
         i = int(np.argmax(np.abs(h - truth.value)))
         witness = truth.witness[i]
-        case = f"at x = {_text(x)}, u = {u[0]:g}, along v = {_text(C[i])} you return {h[i]:.4f}"
+        case = f"at x = {text(x)}, u = {u[0]:g}, along v = {text(C[i])} you return {h[i]:.4f}"
         require(
             h[i] >= truth.value[i] - TOL,
-            f"{case}, but mode {witness.modes[0] + 1} with d = {_text(witness.disturbances[0])} "
+            f"{case}, but mode {witness.modes[0] + 1} with d = {text(witness.disturbances[0])} "
             f"leads to v x+ = {truth.value[i]:.4f}",
         )
         require(h[i] <= truth.value[i] + TOL, f"{case}, which no mode whose region contains (x, u) attains")
     print("ok: one step from one state, on boundaries too")
 
 
-def check_t3(state, disturbance):
+def check_t3(state: Any, disturbance: Any) -> None:
     """Task 3: a state of F and a disturbance of D whose successor under the shipped network leaves F.
 
     Parameters
@@ -116,13 +118,13 @@ def check_t3(state, disturbance):
     best = np.unravel_index(np.argmax(excess), excess.shape)
     require(
         excess[best] > LEAVES,
-        f"x+ = {_text(after[best[0]])} is still in F; {-excess[best]:.4f} is left to the nearest facet, "
-        f"which has the normal {_text(REFUTE.H[best[1]])}",
+        f"x+ = {text(after[best[0]])} is still in F; {-excess[best]:.4f} is left to the nearest facet, "
+        f"which has the normal {text(REFUTE.H[best[1]])}",
     )
-    print(f"ok: x+ = {_text(after[best[0]])} is outside F by {excess[best]:.4f}, so F is not RPI")
+    print(f"ok: x+ = {text(after[best[0]])} is outside F by {excess[best]:.4f}, so F is not RPI")
 
 
-def check_t4(beta):
+def check_t4(beta: Any) -> None:
     """Task 4: the largest beta for which F is RPI under |d|_inf <= beta.
 
     Parameters
@@ -134,7 +136,7 @@ def check_t4(beta):
     Wrong
         If F is not RPI slightly below beta (with a step that leaves it), or still is slightly above.
     """
-    beta = float(require_array(beta, (), "beta"))
+    beta = require_number(beta, "beta")
     require(beta >= NEAR, f"beta = {beta:g} is not a bound of a disturbance that F survives; it has to be positive")
     _require_rpi(KEEP, beta - NEAR)
     require(
@@ -144,7 +146,7 @@ def check_t4(beta):
     print(f"ok: F survives disturbances up to {beta:.3f}, and no larger ones")
 
 
-def check_t5(a, beta):
+def check_t5(a: Any, beta: Any) -> None:
     """Task 5: the a for which [-a, 9.5] x [-10, 9] is RPI under the largest disturbances, and their bound beta.
 
     Parameters
@@ -156,7 +158,7 @@ def check_t5(a, beta):
     Wrong
         If that set is not RPI for beta, or another a allows disturbances that are clearly larger.
     """
-    a, beta = float(require_array(a, (), "a")), float(require_array(beta, (), "beta"))
+    a, beta = require_number(a, "a"), require_number(beta, "beta")
     require(0 < a <= 10, f"a = {a:g} gives no box within X; a has to lie between 0 and 10")
     require(beta >= 0, f"beta = {beta:g} is negative; no disturbance is bounded by that")
     _require_rpi(_left(a), beta)
@@ -170,7 +172,7 @@ def check_t5(a, beta):
     print(f"ok: a = {a:.3f} bears disturbances up to {beta:.3f}; no other a bears {BETTER} more")
 
 
-def check_t6(C):
+def check_t6(C: Any) -> None:
     """Task 6: four directions whose outer approximation of R_1(G) has at most 3/4 of the box's area.
 
     Parameters
@@ -187,89 +189,74 @@ def check_t6(C):
     loop = _shipped_loop()
     outer = outer_step(loop, START, C)
     require(outer.is_bounded, "the set of your template is unbounded; turn its rows so that they enclose the plane")
-    box, area = (_area(R) for R in (outer_step(loop, START, box_directions(2)), outer))
+    box, area = (R.area for R in (outer_step(loop, START, box_directions(2)), outer))
     require(area <= SHARE * box, f"your set has {area:.1f} of area, which is {area / box:.2f} of the box's {box:.1f}")
     print(f"ok: four directions, {area:.1f} in place of {box:.1f}")
 
 
-def _left(a):
+def _left(a: float) -> Polytope:
     """The set of task 5."""
     return Polytope.box([-a, -10], [9.5, 9])
 
 
 @lru_cache
-def _shipped_loop():
+def _shipped_loop() -> ClosedLoop:
     """The loop of the first case study."""
     return case_study("pwa").loop
 
 
-def _check(F, beta):
+def _check(F: Polytope, beta: float) -> RPICheck:
     """check_rpi of the case study's loop under |d|_inf <= beta."""
     return check_rpi(_under(beta), F)
 
 
 @lru_cache
-def _under(beta):
+def _under(beta: float) -> ClosedLoop:
     """The loop under |d|_inf <= beta."""
-    return _shipped_loop().with_disturbance(Polytope.box([-beta, -beta], [beta, beta]))
+    return with_bound(_shipped_loop(), beta)
 
 
-def _require_rpi(F, beta):
+def _require_rpi(F: Polytope, beta: float) -> None:
     """Raise Wrong, with a step that leaves F, unless F is RPI under |d|_inf <= beta."""
     check = _check(F, beta)
     if check.verdict != "proven":
         raise Wrong(f"for |d| <= {beta:.4f} the set is not RPI: {check.reason}")
 
 
-def _require_inside(P, point, name, symbol):
+def _require_inside(P: Polytope, point: Array, name: str, symbol: str) -> None:
     """Raise Wrong unless a point lies in P."""
     excess = P.H @ point - P.h
     i = int(np.argmax(excess))
     require(
         excess[i] <= 1e-9,
-        f"{name} = {_text(point)} is not in {symbol}: its row {_text(P.H[i])} gives {P.H[i] @ point:.4f}, "
+        f"{name} = {text(point)} is not in {symbol}: its row {text(P.H[i])} gives {P.H[i] @ point:.4f}, "
         f"but at most {P.h[i]:.4f} is allowed",
     )
 
 
-def _random_system(rng, side):
+def _random_system(rng: np.random.Generator, side: int) -> PWASystem:
     """side^2 modes on a chessboard, with random dynamics and a random disturbance each."""
     X, U = Polytope.box([-2, -2], [2, 2]), Polytope.box([-1], [1])
     return PWASystem(
-        [
+        tuple(
             Mode(rng.normal(size=(2, 2)), rng.normal(size=(2, 1)), rng.normal(size=2), region, _random_disturbance(rng))
             for region in chessboard(X, U, side)
-        ],
+        ),
         X,
         U,
     )
 
 
-def _random_network(rng):
+def _saturated_network(rng: np.random.Generator) -> MaxoutNetwork:
     """A maxout network whose layers differ in size, saturated to [-1, 1]."""
-    hidden, size = [], 2
-    for _ in range(rng.integers(1, 3)):
-        width, pool = rng.integers(2, 5, 2)
-        hidden.append(Layer(rng.normal(size=(width * pool, size)), rng.normal(size=width * pool), pool))
-        size = width
-    return MaxoutNetwork(hidden, rng.normal(size=(1, size)), np.zeros(1)).saturate(-1, 1)
+    layers = [(int(width), int(pool)) for width, pool in rng.integers(2, 5, (rng.integers(1, 3), 2))]
+    return random_network(rng, layers).saturate(-1, 1)
 
 
-def _random_disturbance(rng):
+def _random_disturbance(rng: np.random.Generator) -> Polytope:
     """A box, a segment or a point, not centred."""
-    centre, reach = rng.uniform(-0.5, 0.5, 2), rng.uniform(0.2, 2, 2)
+    centre, half_width = rng.uniform(-0.5, 0.5, 2), rng.uniform(0.2, 2, 2)
     kind = rng.integers(3)
     if kind == 0:
-        return Polytope.box(centre - reach, centre + reach)
-    return Polytope.from_points(np.array([centre - reach, centre + reach]) if kind == 1 else centre[None])
-
-
-def _area(P):
-    """Area of a bounded polytope of the plane."""
-    x, y = P.vertices().T
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-
-
-def _text(values):
-    """(1.5, -2) for a message."""
-    return "(" + ", ".join(f"{value + 0.0:.4g}" for value in values) + ")"
+        return Polytope.box(centre - half_width, centre + half_width)
+    return Polytope.from_points(np.array([centre - half_width, centre + half_width]) if kind == 1 else centre[None])

@@ -1,21 +1,34 @@
 """Checks of exercise 05: from optimal control to a maxout network."""
 
+from typing import Any
+
 import numpy as np
 
 from ..engines.cells import cells
 from ..learning.mpc import solve_miqp
 from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
-from ..systems.network import Layer, MaxoutNetwork
+from ..systems.network import MaxoutNetwork
 from ..systems.plants import pwa_plant
-from .common import require, require_array, require_filled
+from ..systems.pwa import PWASystem
+from ..typing import Array
+from .common import (
+    Wrong,
+    random_network,
+    require,
+    require_array,
+    require_filled,
+    require_instance,
+    require_number,
+    text,
+)
 
 TOL = 1e-6  # for numbers that differ by rounding, relative to 1 + their size
-STRIP = 1e-3  # states this near to the border of task 2 are not asked
+STRIP = 1e-3  # states this near to the border of task 2 are left out
 MOST_BINARIES, MOST_LOSS = 20, 0.05  # what task 6 allows
 
 
-def check_t1(cost):
+def check_t1(cost: Any) -> None:
     """Task 1: cost(system, x0, inputs) = cost of an input sequence, inf if it violates a constraint.
 
     Parameters
@@ -41,7 +54,7 @@ def check_t1(cost):
         answer = cost(system, x0.copy(), inputs.copy())
         require_filled(answer, "cost(system, x0, inputs)")
         answer = float(answer)
-        case = f"for x0 = {_text(x0)} and N = {horizon} you return {answer:.4f}"
+        case = f"for x0 = {text(x0)} and N = {horizon} you return {answer:.4f}"
         if np.isinf(truth):
             what = "an input is outside [-1, 1]" if kind == "input" else "a state is outside |x| <= 10"
             require(np.isinf(answer) and answer > 0, f"{case}, but {what}, so the cost is inf")
@@ -55,7 +68,7 @@ def check_t1(cost):
     print("ok: the cost of an input sequence")
 
 
-def check_t2(row, offset):
+def check_t2(row: Any, offset: Any) -> None:
     """Task 2: a state of X has no feasible input sequence exactly where row x < offset.
 
     Parameters
@@ -68,7 +81,7 @@ def check_t2(row, offset):
     Wrong
         With a state for which the optimal control problem says the opposite.
     """
-    row, offset = require_array(row, (2,), "row"), float(require_array(offset, (), "offset"))
+    row, offset = require_array(row, (2,), "row"), require_number(offset, "offset")
     length = np.linalg.norm(row)
     require(length > 1e-6, "row is zero, so that row x < offset divides nothing")
     row, offset = row / length, offset / length
@@ -82,13 +95,13 @@ def check_t2(row, offset):
         claimed, feasible = bool(row @ x < offset), solve_miqp(system, x).feasible
         require(
             claimed != feasible,
-            f"x = {_text(x)}: your half-plane says {'no solution' if claimed else 'a solution exists'}, "
+            f"x = {text(x)}: your half-plane says {'no solution' if claimed else 'a solution exists'}, "
             f"but the optimal control problem has {'one' if feasible else 'none'} there",
         )
     print("ok: exactly these states have no solution")
 
 
-def check_t3(smallest_error):
+def check_t3(smallest_error: Any) -> None:
     """Task 3: the smallest worst error on the line x2 = 5 that a continuous controller can have.
 
     Parameters
@@ -103,7 +116,7 @@ def check_t3(smallest_error):
     system = pwa_plant()
     left, right = (solve_miqp(system, np.array([x1, 5.0])).inputs[0, 0] for x1 in (-1e-7, 1e-7))
     best = abs(right - left) / 2
-    number = float(require_array(smallest_error, (), "smallest_error"))
+    number = require_number(smallest_error, "smallest_error")
     sides = "u* has one value just left of x1 = 0 and another just right of it; a continuous controller has to give"
     require(
         number >= best - 1e-6,
@@ -118,7 +131,7 @@ def check_t3(smallest_error):
     print("ok: no training can get below that")
 
 
-def check_t4(project):
+def check_t4(project: Any) -> None:
     """Task 4: project(network, lower, upper), a maxout network whose outputs are projected onto a box.
 
     Parameters
@@ -133,15 +146,11 @@ def check_t4(project):
     """
     rng = np.random.default_rng()
     for m in (1, 1, 2, 3):
-        network = _random_network(rng, m)
+        network = random_network(rng, [(4, 3)], m)
         lower = rng.uniform(-2, 1, m).round(2)
         upper = (lower + rng.uniform(0.5, 2, m)).round(2)
         answer = project(network, lower.copy(), upper.copy())
-        require_filled(answer, "project(network, lower, upper)")
-        require(
-            isinstance(answer, MaxoutNetwork),
-            f"project must return a MaxoutNetwork, so that it can be analysed; got {type(answer).__name__}",
-        )
+        require_instance(answer, MaxoutNetwork, "project(network, lower, upper)")
         sizes = (answer.input_size, answer.output_size)
         require(sizes == (2, m), f"your network has {sizes[0]} inputs and {sizes[1]} outputs; 2 and {m} are needed")
         x = rng.normal(scale=5, size=(2000, 2))
@@ -150,8 +159,7 @@ def check_t4(project):
         i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
         require(
             wrong[i, j] <= 1e-12,
-            f"with lower = {_text(lower)} and upper = {_text(upper)}, the raw output {_text(raw[i])} "
-            f"becomes {_text(y[i])}",
+            f"with lower = {text(lower)} and upper = {text(upper)}, the raw output {text(raw[i])} becomes {text(y[i])}",
         )
         excess = np.maximum(lower - y, y - upper).max()
         require(
@@ -160,7 +168,7 @@ def check_t4(project):
     print("ok: projected, exactly")
 
 
-def check_t5(loss):
+def check_t5(loss: Any) -> None:
     """Task 5: loss(z, u, lower, upper, leak), the mean leaky clipped loss, as a torch function.
 
     Parameters
@@ -182,8 +190,7 @@ def check_t5(loss):
         z[:2], u[:2] = [[-5], [5]], [[upper], [lower]]  # cut off on the wrong side
         variable = torch.tensor(z, requires_grad=True)
         answer = loss(variable, torch.tensor(u), lower, upper, leak)
-        require_filled(answer, "loss(z, u, lower, upper, leak)")
-        require(isinstance(answer, torch.Tensor), f"loss must return a tensor; got {type(answer).__name__}")
+        require_instance(answer, torch.Tensor, "loss(z, u, lower, upper, leak)")
         require(answer.shape == (), f"loss must return one number, a mean; got shape {tuple(answer.shape)}")
         require(
             answer.requires_grad, "your loss has lost its gradient: compute it by torch functions of z, not by numpy"
@@ -192,7 +199,7 @@ def check_t5(loss):
         require(
             bool((slope[:2] != 0).all()),
             f"the sample z = {z[0, 0]:g}, u* = {u[0, 0]:.2f} has no slope: an output that is cut off on the wrong side "
-            "stays there for ever",
+            "stays there forever",
         )
         truth = _leaky(z, u, lower, upper, leak)
         value = float(answer.detach())
@@ -204,7 +211,7 @@ def check_t5(loss):
     print("ok: clipped, and still with a slope everywhere it is needed")
 
 
-def check_t6(network):
+def check_t6(network: Any) -> None:
     """Task 6: a network with at most 20 binaries and a mean squared error of at most 0.05, within U everywhere.
 
     Parameters
@@ -216,31 +223,25 @@ def check_t6(network):
     Wrong
         With the binaries, the error, or a state at which the network leaves U.
     """
-    require_filled(network, "network")
-    require(
-        isinstance(network, MaxoutNetwork),
-        "network must be a MaxoutNetwork, such as the `.network` of what `train` returns; "
-        f"got {type(network).__name__}",
-    )
+    require_instance(network, MaxoutNetwork, "network (the `.network` of what `train` returns)")
     case = case_study("pwa")
     require(
         network.binaries <= MOST_BINARIES,
         f"{network!r} has {network.binaries} binaries, saturation included; at most {MOST_BINARIES} are allowed",
     )
-    leaves = None
     try:
         cells(ClosedLoop(case.system, network))  # looks at every vertex of every affine piece
     except ValueError as error:
-        leaves = str(error)
-    require(leaves is None, leaves)
+        raise Wrong(str(error)) from None
     error = float(((network(case.data.states) - case.data.inputs) ** 2).mean())
     require(error <= MOST_LOSS, f"its mean squared error on the data is {error:.4f}; at most {MOST_LOSS} is allowed")
     print(f"ok: {network.binaries} binaries, mean squared error {error:.4f}")
 
 
-def _cost(system, x0, inputs, Q=1.0, R=1.0):
+def _cost(system: PWASystem, x0: Array, inputs: Array, Q: float = 1.0, R: float = 1.0) -> float:
     """Sum of Q x'x and R u'u along the nominal trajectory, inf where it leaves X or U."""
-    total, x = 0.0, x0
+    total: float = 0.0
+    x = x0
     for u in inputs:
         if (np.abs(u) > 1).any():
             return np.inf
@@ -251,24 +252,10 @@ def _cost(system, x0, inputs, Q=1.0, R=1.0):
     return float(total + Q * x @ x)
 
 
-def _leaky(z, u, lower, upper, leak):
+def _leaky(z: Array, u: Array, lower: float, upper: float, leak: float) -> float:
     """The formula of section 6 of the notebook, sample by sample."""
     total = 0.0
     for value, wanted in zip(z.ravel(), u.ravel()):
         kept = min(max(value, lower), upper)
         total += (kept + leak * (value - kept) - wanted) ** 2
     return total / z.size
-
-
-def _random_network(rng, outputs):
-    """A maxout network with one hidden layer, outputs of size 5 or so."""
-    return MaxoutNetwork(
-        [Layer(rng.normal(size=(12, 2)), rng.normal(size=12), 3)],
-        rng.normal(size=(outputs, 4)),
-        rng.normal(size=outputs),
-    )
-
-
-def _text(values):
-    """(1.5, -2) for a message."""
-    return "(" + ", ".join(f"{value + 0.0:.4g}" for value in values) + ")"

@@ -1,5 +1,7 @@
 """Checks of exercise 06: safe and terminal sets of the four-mode loop."""
 
+from typing import Any
+
 import numpy as np
 
 from ..analysis.reach import support
@@ -9,10 +11,19 @@ from ..sets.polytope import Polytope
 from ..sets.templates import box_directions, directions
 from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
-from ..systems.network import Layer, MaxoutNetwork
 from ..systems.plants import pwa_plant
 from ..systems.pwa import PWASystem
-from .common import require, require_array, require_close, require_filled
+from .common import (
+    random_network,
+    require,
+    require_array,
+    require_close,
+    require_instance,
+    require_number,
+    require_pair,
+    text,
+    with_bound,
+)
 
 ACCURACY = 1e-4  # of a largest disturbance bound, in units of x
 ROWS, ROUGH = 5, 0.5  # task 4: rows of a template, and the disturbance bound that it shall stand
@@ -21,7 +32,7 @@ INSIDE = 1e-9  # for rounding of states and disturbances
 STEPS = 100  # iterations after which a check stops looking for a safe set
 
 
-def check_t1(top, bottom):
+def check_t1(top: Any, bottom: Any) -> None:
     """Task 1: top(limit, bound) and bottom(limit, bound), the largest and smallest x2 of R_1(X) under any controller.
 
     Parameters
@@ -45,7 +56,7 @@ def check_t1(top, bottom):
     print("ok: top and bottom of R1(X), whatever the network")
 
 
-def check_t2(find_safe_set):
+def check_t2(find_safe_set: Any) -> None:
     """Task 2: find_safe_set(loop, C, most) = (F_max, k) of Proposition Fmax, or (None, None).
 
     Parameters
@@ -68,28 +79,26 @@ def check_t2(find_safe_set):
     ]
     for loop, C in cases:
         answer = find_safe_set(loop, C, STEPS)
-        require_filled(answer, "find_safe_set")
-        require(
-            isinstance(answer, tuple) and len(answer) == 2,
-            f"find_safe_set must return (set, k) or (None, None); got {type(answer).__name__}",
-        )
-        F, k = answer
+        F, k = require_pair(answer, "find_safe_set", "(set, k) or (None, None)")
         true = safe_set(loop, C, max_iterations=STEPS)
         case = f"with {len(loop.system.modes)} modes, {len(C)} directions and {_size(loop):.3f} of disturbance"
         if true.set is None:
             require(F is None, f"{case} you return a set, but there is none: {true.reason}")
             continue
         require(F is not None, f"{case} you find no set, but F{true.iterations} is one")
-        require(isinstance(F, Polytope), f"the set must be a Polytope; got {type(F).__name__}")
+        require_instance(F, Polytope, "the set")
         check = check_rpi(loop, F, tol=INSIDE)
         require(check.verdict == "proven", f"{case} your set is not RPI: {check.reason}")
         gap = np.abs(F.support(C) - true.set.support(C)).max()
-        require(gap < 1e-6, f"{case} your set is RPI, but not F_k of eq. Fk: it differs by {gap:.3g} along a direction")
+        require(
+            gap < 1e-6,
+            f"{case} your set is RPI, but not F_k of eq. (21), Fk: it differs by {gap:.3g} along a direction",
+        )
         require(k == true.iterations, f"{case} your set is right, but its number is not {k}; F_0 = X has number 0")
     print("ok: Proposition Fmax, with its honest None")
 
 
-def check_t3(largest_bound):
+def check_t3(largest_bound: Any) -> None:
     """Task 3: the largest b for which boxes find a safe set under |d|_inf <= b, to within `ACCURACY`.
 
     Parameters
@@ -101,7 +110,7 @@ def check_t3(largest_bound):
     Wrong
         If no safe set is found just below, or one just above.
     """
-    b = float(require_array(largest_bound, (), "largest_bound"))
+    b = require_number(largest_bound, "largest_bound")
     require(b > ACCURACY, f"a disturbance bound is positive; largest_bound = {b:g}")
     below, above = (safe_set(disturbed_loop(b + sign * ACCURACY), box_directions(2)) for sign in (-1, 1))
     require(below.set is not None, f"largest_bound = {b:.6g} is too large: just below it, {below.reason}")
@@ -109,7 +118,7 @@ def check_t3(largest_bound):
     print(f"ok: boxes find a safe set up to |d| <= {b:.4f}, and none from {b + ACCURACY:.4f} on")
 
 
-def check_t4(C):
+def check_t4(C: Any) -> None:
     """Task 4: a template of at most `ROWS` rows with which a safe set is found for |d|_inf <= `ROUGH`.
 
     Parameters
@@ -131,7 +140,7 @@ def check_t4(C):
     print(f"ok: {len(C)} rows, and a safe set after {found.iterations} iteration(s)")
 
 
-def check_t5(growth):
+def check_t5(growth: Any) -> None:
     """Task 5: growth(before, after), the largest alpha with alpha * after in before.
 
     Parameters
@@ -152,7 +161,7 @@ def check_t5(growth):
         idle = H if trial % 2 == 0 else rng.normal(size=(3, 2))  # rows of `before`, or of neither
         after = Polytope(np.vstack([after.H, idle]), np.concatenate([after.h, loose.support(idle) + 0.3]))
         before = Polytope(H, after.support(H) * rng.uniform(0.9, 1.4, len(H)))
-        alpha = float(require_array(growth(before, after), (), "growth(before, after)"))
+        alpha = require_number(growth(before, after), "growth(before, after)")
         require(alpha > 0, f"growth returns {alpha:g}, but alpha must be positive")
         excess = (after.scale(alpha).support(H) - before.h).max()
         require(
@@ -160,10 +169,10 @@ def check_t5(growth):
         )
         excess = (after.scale(alpha * (1 + 1e-6)).support(H) - before.h).max()
         require(excess > 0, f"growth returns alpha = {alpha:.6f}, but a larger alpha is possible as well")
-    print("ok: the largest alpha of eq. StabCondFmin, below 1 where a set has grown")
+    print("ok: the largest alpha of eq. (26), StabCondFmin, below 1 where a set has grown")
 
 
-def check_t6(x0, first, second):
+def check_t6(x0: Any, first: Any, second: Any) -> None:
     """Task 6: two disturbance sequences from one state of F_max that end at least `APART` from each other.
 
     Parameters
@@ -181,7 +190,7 @@ def check_t6(x0, first, second):
     F = safe_set(case.loop, case.safe_directions).set
     x0 = require_array(x0, (2,), "x0")
     first, second = require_array(first, (None, 2), "first"), require_array(second, (None, 2), "second")
-    require(F.contains(x0, tol=INSIDE), f"x0 = {x0.round(4).tolist()} is not in F_max")
+    require(F.contains(x0, tol=INSIDE), f"x0 = {text(x0)} is not in F_max")
     require(len(first) == len(second), f"both futures need the same number of steps; got {len(first)}, {len(second)}")
     require(1 <= len(first) <= FUTURES, f"between 1 and {FUTURES} steps are allowed; got {len(first)}")
     for name, d in (("first", first), ("second", second)):
@@ -196,20 +205,19 @@ def check_t6(x0, first, second):
     print(f"ok: after {len(first)} steps the two futures are {distance:.2f} apart")
 
 
-def disturbed_loop(bound):
+def disturbed_loop(bound: float) -> ClosedLoop:
     """The shipped four-mode loop with |d|_inf <= bound."""
-    return case_study("pwa").loop.with_disturbance(Polytope.box([-bound, -bound], [bound, bound]))
+    return with_bound(case_study("pwa").loop, bound)
 
 
-def _random_loop(rng, limit, bound):
+def _random_loop(rng: np.random.Generator, limit: float, bound: float) -> ClosedLoop:
     """The four modes on |x|_inf <= limit with a random network."""
     plant = pwa_plant(bound)
     X = Polytope.box([-limit, -limit], [limit, limit])
-    hidden = [Layer(rng.normal(size=(6, 2)), rng.normal(size=6), 2)]
-    network = MaxoutNetwork(hidden, rng.normal(size=(1, 3)), rng.normal(size=1)).saturate([-1.0], [1.0])
+    network = random_network(rng, [(3, 2)]).saturate([-1.0], [1.0])
     return ClosedLoop(PWASystem(plant.modes, X, plant.input_set), network)
 
 
-def _size(loop):
+def _size(loop: ClosedLoop) -> float:
     """Largest entry of a disturbance."""
-    return max(np.abs(mode.disturbance.vertices()).max() for mode in loop.system.modes)
+    return max(float(np.abs(mode.disturbance.vertices()).max()) for mode in loop.system.modes)

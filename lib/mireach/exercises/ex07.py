@@ -1,12 +1,15 @@
 """Checks of exercise 07: piecewise-affine fits and proven errors."""
 
+from typing import Any
+
 import numpy as np
 
 from ..approximation.fit import fit_pwa
 from ..sets.polytope import Polytope
-from ..studies.case_studies import case_study
+from ..studies.case_studies import double_integrator_fit
 from ..systems.plants import INTEGRATOR_CURVATURE, chessboard, double_integrator_plant
-from .common import require, require_array, require_filled
+from ..typing import Array
+from .common import require, require_array, require_filled, require_instance, require_number, require_whole, text
 
 DECEIVED = 0.02  # task 2: by how much the error at a state shall exceed that of the grid (units of x)
 WANTED = 0.02  # task 5: error that the fits shall not exceed (units of x)
@@ -14,7 +17,7 @@ ROUNDING = 1e-9
 TIGHT = 5.0  # task 6: allowed excess of a bound over an interval of width w, as a multiple of w^2
 
 
-def check_t1(grid_error):
+def check_t1(grid_error: Any) -> None:
     """Task 1: grid_error(side, points), the largest error at the grid of a least-squares fit on a square.
 
     Parameters
@@ -32,7 +35,7 @@ def check_t1(grid_error):
         side = rng.uniform(1, 6)
         middle = rng.uniform(-2, 2, 2)
         truth = _fit_square(middle, side, points)[1]
-        value = float(require_array(grid_error(side, points), (), "grid_error(side, points)"))
+        value = require_number(grid_error(side, points), "grid_error(side, points)")
         hint = "" if points != 3 else " (with 3 points the middle of the square is one of them)"
         require(
             abs(value - truth) <= 1e-8,
@@ -41,8 +44,8 @@ def check_t1(grid_error):
     print("ok: the error at the grid, for squares anywhere in the plane")
 
 
-def check_t2(points, x):
-    """Task 2: a grid of `points` >= 3 an axis on [-2, 2]^2 that hides an error at the state x.
+def check_t2(points: Any, x: Any) -> None:
+    """Task 2: a grid of `points` >= 3 per axis on [-2, 2]^2 that hides an error at the state x.
 
     Parameters
     ----------
@@ -54,21 +57,19 @@ def check_t2(points, x):
     Wrong
         If the error at x does not exceed that of the grid by `DECEIVED`.
     """
-    number = float(require_array(points, (), "points"))
-    x = require_array(x, (2,), "x")
-    require(number == int(number) and 3 <= number <= 50, f"points must be a whole number from 3 to 50; got {number:g}")
-    require(np.abs(x).max() <= 2, f"x = {x.tolist()} is not in the square [-2, 2]^2")
-    theta, largest = _fit_square(np.zeros(2), 4.0, int(number))
+    count, x = require_whole(points, "points", 3, 50), require_array(x, (2,), "x")
+    require(np.abs(x).max() <= 2, f"x = {text(x)} is not in the square [-2, 2]^2")
+    theta, largest = _fit_square(np.zeros(2), 4.0, count)
     here = float(np.abs(_bend(x[None]) - np.array([[*x, 1.0]]) @ theta)[0])
     require(
         here >= largest + DECEIVED,
-        f"with {int(number)} points the grid says {largest:.4f}, and the error at x is {here:.4f}; it shall be larger "
+        f"with {count} points the grid says {largest:.4f}, and the error at x is {here:.4f}; it shall be larger "
         f"than the grid's number by {DECEIVED}",
     )
-    print(f"ok: the grid says {largest:.4f}, but at x = {x.tolist()} the error is {here:.4f}")
+    print(f"ok: the grid says {largest:.4f}, but at x = {text(x)} the error is {here:.4f}")
 
 
-def check_t3(minimax_mode):
+def check_t3(minimax_mode: Any) -> None:
     """Task 3: minimax_mode(lower, upper) = (A, B, p) with the smallest largest error on a box of states.
 
     Parameters
@@ -98,13 +99,13 @@ def check_t3(minimax_mode):
         require(
             error[worst] <= best + ROUNDING,
             f"on [{lower[0]:.2f}, {upper[0]:.2f}] x [{lower[1]:.2f}, {upper[1]:.2f}] your error at "
-            f"x = {x[worst].round(3).tolist()}, u = {u[worst].round(3).tolist()} is {error[worst]:.4f}, "
+            f"x = {text(x[worst])}, u = {text(u[worst])} is {error[worst]:.4f}, "
             f"{error[worst] / best:.2f} times as large as need be",
         )
     print("ok: the smallest possible largest error, on boxes of any shape")
 
 
-def check_t4(D):
+def check_t4(D: Any) -> None:
     """Task 4: a small polytope that holds all errors of the paper's least-squares fit.
 
     Parameters
@@ -116,12 +117,12 @@ def check_t4(D):
     Wrong
         With an error that lies outside, or a direction in which D is larger than need be.
     """
-    require_filled(D, "D")
-    require(isinstance(D, Polytope), f"D must be a Polytope; got {type(D).__name__}")
+    require_instance(D, Polytope, "D")
     require(D.dimension == 2, f"D lies in R^{D.dimension}, but the error has 2 components")
     require(not D.is_empty and D.is_bounded, "D must be bounded and not empty")
-    rng, case = np.random.default_rng(), case_study("double_integrator")
-    fit, plant = case.fit, case.plant
+    rng = np.random.default_rng()
+    fit = double_integrator_fit()
+    plant = double_integrator_plant()
     errors = []
     for mode in fit.modes:
         low, high = mode.region.bounding_box()
@@ -131,18 +132,18 @@ def check_t4(D):
     d = np.vstack(errors)
     excess = (d @ D.H.T - D.h).max(axis=1)
     worst = int(np.argmax(excess))
-    require(excess[worst] <= 1e-6, f"the error d = {d[worst].round(5).tolist()} occurs, but lies outside D")
+    require(excess[worst] <= 1e-6, f"the error d = {text(d[worst])} occurs, but lies outside D")
     for v, name in (((1, -1), "(1, -1)"), ((-1, 1), "(-1, 1)"), ((1, 1), "(1, 1)"), ((-1, -1), "(-1, -1)")):
-        reach, needed = D.support([v])[0], (d @ np.array(v)).max()
+        support, needed = D.support([v])[0], (d @ np.array(v)).max()
         require(
-            reach <= needed + 1e-3,
-            f"D holds all errors but is too large: along {name} it reaches {reach:.4f}, the errors only {needed:.4f}",
+            support <= needed + 1e-3,
+            f"D holds all errors but is too large: along {name} it reaches {support:.4f}, the errors only {needed:.4f}",
         )
     print("ok: all errors are in D, and there is nothing to save")
 
 
-def check_t5(least_squares, minimax):
-    """Task 5: the fewest regions an axis with which each fit's proven error is at most `WANTED`.
+def check_t5(least_squares: Any, minimax: Any) -> None:
+    """Task 5: the fewest regions per axis with which each fit's proven error is at most `WANTED`.
 
     Parameters
     ----------
@@ -151,15 +152,12 @@ def check_t5(least_squares, minimax):
     Raises
     ------
     Wrong
-        If the error is too large, or one region an axis less would do.
+        If the error is too large, or one region per axis less would do.
     """
     plant, rng = double_integrator_plant(), np.random.default_rng()
     for method, answer in (("least_squares", least_squares), ("minimax", minimax)):
-        number = float(require_array(answer, (), method))
-        require(
-            number == int(number) and 2 <= number <= 40, f"{method} must be a whole number, 2 to 40; got {number:g}"
-        )
-        for count, enough in ((int(number), True), (int(number) - 1, False)):
+        number = require_whole(answer, method, 2, 40)
+        for count, enough in ((number, True), (number - 1, False)):
             regions = chessboard(plant.state_set, plant.input_set, count)
             some = [regions[i] for i in rng.choice(len(regions), min(3, len(regions)), replace=False)]
             error = fit_pwa(plant, some, method=method).proven_error
@@ -167,10 +165,10 @@ def check_t5(least_squares, minimax):
                 require(error <= WANTED, f"{method} = {count} is too small: the proven error is {error:.4f} > {WANTED}")
             else:
                 require(error > WANTED, f"{method} = {count + 1} is more than needed: {count} give {error:.4f} already")
-    print(f"ok: {least_squares} and {minimax} regions an axis keep the error below {WANTED}")
+    print(f"ok: {least_squares} and {minimax} regions per axis keep the error below {WANTED}")
 
 
-def check_t6(upper):
+def check_t6(upper: Any) -> None:
     """Task 6: upper(a, b), a bound on e(t) = sin(3 t) - t over [a, b] that is sound and tight to second order.
 
     Parameters
@@ -189,7 +187,7 @@ def check_t6(upper):
         b = a + width
         value = upper(a, b)
         require(value is not None and value != np.inf, "upper is not filled in yet")
-        value = float(require_array(value, (), "upper(a, b)"))
+        value = require_number(value, "upper(a, b)")
         peaks = [(sign * np.arccos(1 / 3) + 2 * np.pi * k) / 3 for sign in (-1, 1) for k in range(-4, 5)]
         points = np.array([a, b, *(t for t in peaks if a < t < b)])  # where e' = 3 cos(3 t) - 1 vanishes
         e = np.sin(3 * points) - points
@@ -206,12 +204,12 @@ def check_t6(upper):
     print("ok: sound, and tight to second order")
 
 
-def _bend(x):
+def _bend(x: Array) -> Array:
     """0.025 x'x for states (N, 2)."""
     return INTEGRATOR_CURVATURE * (x**2).sum(axis=1)
 
 
-def _fit_square(middle, side, points):
+def _fit_square(middle: Array, side: float, points: int) -> tuple[Array, float]:
     """Least-squares affine fit theta (3,) of the bend on a square, and its largest error at the grid."""
     axes = [np.linspace(c - side / 2, c + side / 2, points) for c in middle]
     x = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)

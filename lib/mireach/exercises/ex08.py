@@ -1,11 +1,17 @@
 """Checks of exercise 08: optimal plans, a small network, and extrapolation."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from ..learning.mpc.piecewise_affine import trajectory_cost
 from ..studies.case_studies import case_study
 from ..systems.network import MaxoutNetwork
-from .common import Wrong, require, require_array, require_filled
+from ..systems.nonlinear import NonlinearSystem
+from ..systems.plants import double_integrator_plant
+from ..typing import Array, ArrayLike
+from .common import Wrong, require, require_array, require_filled, require_instance, require_number, text
 
 START, TARGET = (5.5, -1.5), 52.0  # of task 3
 MOST_BINARIES, LARGEST_ERROR = 20, 0.01  # of task 4
@@ -13,7 +19,7 @@ STATE_WEIGHT, INPUT_WEIGHT = 0.8, 0.1  # of case study 2's optimal control probl
 TOL = 1e-9  # for numbers that differ by rounding only, relative to their size
 
 
-def check_t1(lost):
+def check_t1(lost: Any) -> None:
     """Task 1: lost(x, limit) tells from which states no input |u| <= limit keeps f(x, u) in X.
 
     Parameters
@@ -26,7 +32,7 @@ def check_t1(lost):
     Wrong
         With a state that an input keeps in X, or one that none of 2001 inputs does.
     """
-    plant, rng = case_study("double_integrator").plant, np.random.default_rng()
+    plant, rng = double_integrator_plant(), np.random.default_rng()
     for limit in (2.0, *rng.uniform(0.2, 1.0, 2), rng.uniform(2.0, 4.0)):
         x, inputs = rng.uniform(-6, 6, (1500, 2)), np.linspace(-limit, limit, 2001)
         answer = require_array(lost(x, limit), (len(x),), "lost(x, limit)") > 0.5
@@ -38,20 +44,20 @@ def check_t1(lost):
             i = kept[0]
             u = inputs[excess[i].argmin()]
             raise Wrong(
-                f"|u| <= {limit:.2f}: you call x = {_text(x[i])} lost, but u = {u:.2f} leads to "
-                f"{_text(plant(x[i], [u]))}, in X ({len(kept)} such states of {len(x)})"
+                f"|u| <= {limit:.2f}: you call x = {text(x[i])} lost, but u = {u:.2f} leads to "
+                f"{text(plant(x[i], [u]))}, in X ({len(kept)} such states of {len(x)})"
             )
         if len(gone):
             i = gone[0]
             after = plant(x[i], [inputs[excess[i].argmin()]])
             raise Wrong(
-                f"|u| <= {limit:.2f}: you say that x = {_text(x[i])} can be kept in X, but the best of 2001 inputs "
-                f"leads to {_text(after)} ({len(gone)} such states of {len(x)}); are both components met, with one u?"
+                f"|u| <= {limit:.2f}: you say that x = {text(x[i])} can be kept in X, but the best of 2001 inputs "
+                f"leads to {text(after)} ({len(gone)} such states of {len(x)}); are both components met, with one u?"
             )
-    print("ok: lost states are told by two intervals for u")
+    print("ok: two intervals for u decide which states are lost")
 
 
-def check_t2(cost):
+def check_t2(cost: Any) -> None:
     """Task 2: cost(x0, inputs) = J of case study 2, inf where a constraint is violated.
 
     Parameters
@@ -64,7 +70,8 @@ def check_t2(cost):
     Wrong
         With the term that explains the difference, if one does.
     """
-    plant, rng, seen = case_study("double_integrator").plant, np.random.default_rng(), set()
+    plant, rng = double_integrator_plant(), np.random.default_rng()
+    seen: set[str] = set()
     while seen < {"feasible", "state", "input"}:
         x0, inputs = rng.uniform(-4, 4, 2), rng.uniform(-2.1, 2.1, int(rng.integers(1, 7)))
         states = _rollout(plant, x0, inputs)
@@ -74,7 +81,7 @@ def check_t2(cost):
     print("ok: the cost, and inf for plans that are not allowed")
 
 
-def check_t3(plan):
+def check_t3(plan: Any) -> None:
     """Task 3: ten inputs from x(0) = (5.5, -1.5) that meet all constraints and cost at most 52.
 
     Parameters
@@ -89,20 +96,20 @@ def check_t3(plan):
     inputs = require_array(plan, (10,), "plan")
     late = np.flatnonzero(np.abs(inputs) > 2)
     require(not len(late), f"the input limit |u| <= 2 is violated at k = {late[:1]}")
-    states = _rollout(case_study("double_integrator").plant, START, inputs)
+    states = _rollout(double_integrator_plant(), START, inputs)
     outside = np.flatnonzero(np.abs(states).max(axis=1) > 6)
-    require(not len(outside), f"the plan leaves X: x({outside[:1]}) = {_text(states[outside[:1]])}")
+    require(not len(outside), f"the plan leaves X: x({outside[:1]}) = {text(states[outside[:1]])}")
     total, stages = _cost(states, inputs), STATE_WEIGHT * (states**2).sum(axis=1)
     k = 2 + int(stages[2:].argmax())
     require(
         total <= TARGET,
         f"the plan is allowed but costs {total:.2f}, more than {TARGET:g}; from k = 2 on, the largest share is "
-        f"{stages[k]:.2f} at k = {k}, where x = {_text(states[k])}",
+        f"{stages[k]:.2f} at k = {k}, where x = {text(states[k])}",
     )
     print(f"ok: a plan that costs {total:.2f}")
 
 
-def check_t4(small):
+def check_t4(small: Any) -> None:
     """Task 4: a network with at most 20 binaries and a mean squared error of at most 0.01 on the data.
 
     Parameters
@@ -114,10 +121,7 @@ def check_t4(small):
     Wrong
         With the number of binaries, an input outside U, or the error and where it is largest.
     """
-    require_filled(small, "small")
-    require(
-        isinstance(small, MaxoutNetwork), f"small must be a MaxoutNetwork (.network of the result); got {type(small)}"
-    )
+    require_instance(small, MaxoutNetwork, "small (the `.network` of the result)")
     require(
         small.binaries <= MOST_BINARIES,
         f"the network has {small.binaries} binary variables, more than {MOST_BINARIES}: "
@@ -133,12 +137,12 @@ def check_t4(small):
     require(
         mean <= LARGEST_ERROR,
         f"the mean squared error on the data is {mean:.4f}, more than {LARGEST_ERROR}; the worst error is "
-        f"{error.max():.2f} at x = {_text(data.states[error.argmax()])}: more steps? another seed?",
+        f"{error.max():.2f} at x = {text(data.states[error.argmax()])}: more steps? another seed?",
     )
     print(f"ok: {small.binaries} binary variables, mean squared error {mean:.4f}")
 
 
-def check_t5(other):
+def check_t5(other: Any) -> None:
     """Task 5: a controller that agrees with the shipped network on the hull of the data, but not at (6, 6).
 
     Parameters
@@ -154,11 +158,11 @@ def check_t5(other):
     case, rng = case_study("double_integrator"), np.random.default_rng()
     states, network = case.data.states, case.network
     triples = states[rng.integers(0, len(states), (2000, 3))]
-    known = np.vstack([states, np.einsum("ij,ijk->ik", rng.dirichlet(np.ones(3), 2000), triples)])
-    gap = np.abs(_inputs(other, known) - network(known))[:, 0]
+    covered = np.vstack([states, np.einsum("ij,ijk->ik", rng.dirichlet(np.ones(3), 2000), triples)])
+    gap = np.abs(_inputs(other, covered) - network(covered))[:, 0]
     require(
         gap.max() <= 1e-6,
-        f"at x = {_text(known[gap.argmax()])}, a convex combination of data states, your input differs by "
+        f"at x = {text(covered[gap.argmax()])}, a convex combination of data states, your input differs by "
         f"{gap.max():.2g} from the shipped network's",
     )
     anywhere = np.vstack([rng.uniform(-6, 6, (4000, 2)), [[6, 6]], rng.uniform(5, 6, (500, 2))])
@@ -166,7 +170,7 @@ def check_t5(other):
     worst = int(np.abs(inputs).argmax())
     require(
         np.abs(inputs).max() <= 2 + 1e-9,
-        f"at x = {_text(anywhere[worst])} your input is {inputs[worst, 0]:.2f}, outside |u| <= 2",
+        f"at x = {text(anywhere[worst])} your input is {inputs[worst, 0]:.2f}, outside |u| <= 2",
     )
     corner = np.array([[6.0, 6.0]])
     difference = float(np.abs(_inputs(other, corner) - network(corner))[0, 0])
@@ -181,7 +185,7 @@ def check_t5(other):
         k = int(jumps.argmax())
         require(
             jumps[k] <= 50 * length + 1e-9,
-            f"your input jumps by {jumps[k]:.2g} within {length:.1g} at x = {_text(path[k])}: it is not continuous",
+            f"your input jumps by {jumps[k]:.2g} within {length:.1g} at x = {text(path[k])}: it is not continuous",
         )
     print(f"ok: the data cannot tell the two apart, and at (6, 6) they differ by {difference:.1f}")
 
@@ -189,7 +193,7 @@ def check_t5(other):
 # -- parts --------------------------------------------------------------------------------------------
 
 
-def _rollout(plant, x0, inputs):
+def _rollout(plant: NonlinearSystem, x0: ArrayLike, inputs: Array) -> Array:
     """States (N + 1, 2) of the plant under inputs (N,)."""
     states = [np.asarray(x0, float)]
     for u in inputs:
@@ -197,20 +201,20 @@ def _rollout(plant, x0, inputs):
     return np.array(states)
 
 
-def _cost(states, inputs):
+def _cost(states: Array, inputs: Array) -> float:
     """J of case study 2."""
     Q = STATE_WEIGHT * np.eye(2)
     return trajectory_cost(states, inputs[:, None], Q, INPUT_WEIGHT * np.eye(1), Q)
 
 
-def _compare_cost(answer, kind, states, inputs):
+def _compare_cost(answer: Any, kind: str, states: Array, inputs: Array) -> None:
     """Raise `Wrong` unless the answer is J of a feasible plan, or inf for one that is not."""
     require_filled(answer, "cost(x0, inputs)")
     if isinstance(answer, float) and answer == np.inf:
         require(kind != "feasible", _feasible_hint(states, inputs))
         return
-    J = float(require_array(answer, (), "cost(x0, inputs)"))
-    case = f"x0 = {_text(states[0])}, {len(inputs)} input(s)"
+    J = require_number(answer, "cost(x0, inputs)")
+    case = f"x0 = {text(states[0])}, {len(inputs)} input(s)"
     if kind != "feasible":
         limit = "|x|_inf <= 6" if kind == "state" else "|u| <= 2"
         worst = np.abs(states if kind == "state" else inputs).max()
@@ -223,27 +227,22 @@ def _compare_cost(answer, kind, states, inputs):
         "the terminal cost counts twice": STATE_WEIGHT * (states[-1] ** 2).sum(),
     }
     size = TOL * (1 + abs(truth))
-    known = [name for name, term in terms.items() if abs(J - truth - term) <= size]
+    matching = [name for name, term in terms.items() if abs(J - truth - term) <= size]
     hint = f"{case}: your J is off by {abs(J - truth):.3g}"
     require(
         abs(J - truth) <= size,
-        f"{hint}: {known[0]}" if known else f"{hint}; compare weights, states and inputs one by one",
+        f"{hint}: {matching[0]}" if matching else f"{hint}; compare weights, states and inputs one by one",
     )
 
 
-def _feasible_hint(states, inputs):
+def _feasible_hint(states: Array, inputs: Array) -> str:
     """What to say where inf is returned for a feasible plan."""
     return (
-        f"x0 = {_text(states[0])}, {len(inputs)} input(s): you return inf, but |x|_inf reaches only "
+        f"x0 = {text(states[0])}, {len(inputs)} input(s): you return inf, but |x|_inf reaches only "
         f"{np.abs(states).max():.2f} and |u| only {np.abs(inputs).max():.2f}"
     )
 
 
-def _inputs(other, states):
+def _inputs(other: Callable[[Array], Any], states: Array) -> Array:
     """What a controller answers at states (N, 2), as an array (N, 1)."""
     return require_array(other(states), (len(states), 1), "other(x)")
-
-
-def _text(x):
-    """A vector in two digits."""
-    return "(" + ", ".join(f"{value:.2f}" for value in np.ravel(x)) + ")"

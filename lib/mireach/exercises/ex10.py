@@ -1,5 +1,7 @@
 """Checks of exercise 10: the maximal safe set, backwards from what is lost."""
 
+from typing import Any
+
 import numpy as np
 
 from ..analysis.disturbance import largest_disturbance
@@ -10,23 +12,33 @@ from ..studies.case_studies import case_study
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
 from ..systems.pwa import Mode, PWASystem
-from .common import Wrong, require, require_array, require_filled
+from .common import (
+    Wrong,
+    require,
+    require_array,
+    require_instance,
+    require_number,
+    require_pair,
+    require_whole,
+    text,
+    with_bound,
+)
 
 ROUNDING = 1e-9  # of states that are computed twice (units of x)
 SHARE = 1e-5  # areas may differ by this share of X
 ACCURACY = 1e-3  # of task 4, in units of d
 
 
-def spiral():
+def spiral() -> ClosedLoop:
     """The loop of task 4: x+ = 0.8 (x turned by 50 degrees) + d on |x|_inf <= 1."""
     angle = np.deg2rad(50)
     A = 0.8 * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     X, U = Polytope.box([-1, -1], [1, 1]), Polytope.box([-1], [1])
     mode = Mode(A, np.zeros((2, 1)), np.zeros(2), X.product(U))
-    return ClosedLoop(PWASystem([mode], X, U), MaxoutNetwork((), np.zeros((1, 2)), [0.0]))
+    return ClosedLoop(PWASystem((mode,), X, U), MaxoutNetwork((), np.zeros((1, 2)), np.zeros(1)))
 
 
-def check_t1(lost_in_cell):
+def check_t1(lost_in_cell: Any) -> None:
     """Task 1: lost_in_cell(C, M, c, D, T) is {x in C : M x + c + d in T for some d in D} for boxes C, D and T.
 
     Parameters
@@ -44,23 +56,22 @@ def check_t1(lost_in_cell):
         M, c = rng.normal(size=(2, 2)), rng.normal(size=2)
         if trial % 3 == 1:
             M = np.outer(rng.normal(size=2), rng.normal(size=2))  # images are segments: there is no inverse
-        middle, reach = 0.2 * rng.normal(size=2), rng.uniform(0.05, 0.4, 2)
-        C, D = Polytope.box([-1, -1], [1, 1]), Polytope.box(middle - reach, middle + reach)
+        middle, half_width = 0.2 * rng.normal(size=2), rng.uniform(0.05, 0.4, 2)
+        C, D = Polytope.box([-1, -1], [1, 1]), Polytope.box(middle - half_width, middle + half_width)
         target = M @ rng.uniform(-1, 1, 2) + c + rng.normal(size=2) * 0.3
         T = Polytope.box(target - rng.uniform(0.1, 0.5, 2), target + rng.uniform(0.1, 0.5, 2))
         answer = lost_in_cell(C, M, c, D, T)
-        require(answer is not None and answer is not ..., "lost_in_cell is not filled in yet")
-        require(isinstance(answer, Polytope), f"lost_in_cell must return a Polytope; got {type(answer).__name__}")
+        require_instance(answer, Polytope, "lost_in_cell(C, M, c, D, T)")
         x = rng.uniform(-1.2, 1.2, (400, 2))
         image = x @ M.T + c
-        low, high = image + middle - reach, image + middle + reach
+        low, high = image + middle - half_width, image + middle + half_width
         (left, bottom), (right, top) = T.bounding_box()
         gap = np.max([left - high[:, 0], low[:, 0] - right, bottom - high[:, 1], low[:, 1] - top], axis=0)
         inside, said = C.contains(x), answer.contains(x)
         title = "M is singular: " if trial % 3 == 1 else ""
         for i in np.flatnonzero(np.abs(gap) > ROUNDING):
-            where = f"{title}x = {_text(x[i])}, M x + c = {_text(image[i])}, D = {_box(D)}, T = {_box(T)}"
-            require(inside[i] or not said[i], f"{title}x = {_text(x[i])} is in your set, but not in the cell C")
+            where = f"{title}x = {text(x[i])}, M x + c = {text(image[i])}, D = {_box(D)}, T = {_box(T)}"
+            require(inside[i] or not said[i], f"{title}x = {text(x[i])} is in your set, but not in the cell C")
             require(
                 not (said[i] and gap[i] > 0), f"{where}: no d leads into T, it misses by {gap[i]:.2g}; x is not lost"
             )
@@ -68,7 +79,7 @@ def check_t1(lost_in_cell):
     print("ok: the preimage of a widened set, without any inverse")
 
 
-def check_t2(shrink):
+def check_t2(shrink: Any) -> None:
     """Task 2: shrink(loop) is the maximal safe set as a Region, and the number of steps.
 
     Parameters
@@ -84,13 +95,9 @@ def check_t2(shrink):
     rng = np.random.default_rng()
     for name, low, high in (("double_integrator", 0.0, 0.2), ("pwa", 0.05, 1.0), ("double_integrator", 0.1, 0.3)):
         bound = rng.uniform(low, high)
-        loop = case_study(name).loop.with_disturbance(Polytope.box([-bound, -bound], [bound, bound]))
-        answer = shrink(loop)
-        require_filled(answer, "shrink(loop)")
-        require(isinstance(answer, tuple) and len(answer) == 2, "shrink(loop) must return a Region and a number")
-        S, steps = answer
-        require(S is not None and S is not ... and steps is not None, "shrink is not filled in yet")
-        require(isinstance(S, Region), f"shrink(loop) must return a Region first; got {type(S).__name__}")
+        loop = with_bound(case_study(name).loop, bound)
+        S, steps = require_pair(shrink(loop), "shrink(loop)", "of a Region and a number")
+        require_instance(S, Region, "the first part of shrink(loop)")
         title = f"{name}, |d| <= {bound:.3f}"
         truth, X = maximal_safe_set(loop, prove=False), Region.of(loop.system.state_set)
         extra, lacking = S - truth.outer, truth.set - S
@@ -101,12 +108,12 @@ def check_t2(shrink):
             if (more & S).area > SHARE * X.area:
                 x = (more & S).shape.representative_point().coords[0]
                 leaves = "can be carried out of your set in one step"
-            raise Wrong(f"{title}: your set is too large: x = {_text(x)} {leaves}")
+            raise Wrong(f"{title}: your set is too large: x = {text(x)} {leaves}")
         if lacking.area > SHARE * X.area:
             x = lacking.shape.representative_point().coords[0]
-            raise Wrong(f"{title}: your set is too small: x = {_text(x)} stays in the maximal set for ever")
-        k = int(float(require_array(steps, (), "the number of steps")))
-        near = [j for j, known in enumerate(truth.history) if known.area - truth.set.area < SHARE * X.area]
+            raise Wrong(f"{title}: your set is too small: x = {text(x)} stays in the maximal set forever")
+        k = require_whole(steps, "the number of steps", 0)
+        near = [j for j, S_j in enumerate(truth.history) if S_j.area - truth.set.area < SHARE * X.area]
         require(
             near[0] <= k <= truth.iterations + 1,
             f"{title}: you count {k} steps, but S_{truth.iterations} is the last that differs from the one before",
@@ -114,7 +121,7 @@ def check_t2(shrink):
     print("ok: the maximal safe set, backwards")
 
 
-def check_t3(start, disturbances):
+def check_t3(start: Any, disturbances: Any) -> None:
     """Task 3: a state of the double integrator that no single step can drive out of X, and disturbances that do.
 
     Parameters
@@ -131,24 +138,24 @@ def check_t3(start, disturbances):
     x, d = require_array(start, (2,), "start"), require_array(disturbances, (None, 2), "disturbances")
     case = case_study("double_integrator")
     X, bound = case.system.state_set, case.disturbance_bound
-    require(X.contains(x), f"start = {_text(x)} lies outside X")
+    require(X.contains(x), f"start = {text(x)} lies outside X")
     require(len(d) >= 2, f"disturbances has {len(d)} row; from a state that no single step drives out, it takes two")
     worst = int(np.abs(d).max(axis=1).argmax())
     require(
         np.abs(d).max() <= bound + ROUNDING,
-        f"disturbance {worst + 1}, {_text(d[worst])}, is larger than {bound} in the max norm",
+        f"disturbance {worst + 1}, {text(d[worst])}, is larger than {bound} in the max norm",
     )
     require(
         not carried_out(case.loop, X).contains(x),
-        f"from start = {_text(x)} a single step can lead out of X already; look among what is lost later",
+        f"from start = {text(x)} a single step can lead out of X already; look among what is lost later",
     )
     path = case.loop.simulate(x, len(d), d)
     outside = ~X.contains(np.nan_to_num(path, nan=99.0), ROUNDING)
-    require(outside.any(), f"from start = {_text(x)} the trajectory ends at {_text(path[-1])}, inside X")
+    require(outside.any(), f"from start = {text(x)} the trajectory ends at {text(path[-1])}, inside X")
     print(f"ok: out of X after {int(outside.argmax())} steps")
 
 
-def check_t4(largest):
+def check_t4(largest: Any) -> None:
     """Task 4: the largest bound on |d|_inf for which `spiral()` has a safe set, to within 0.001.
 
     Parameters
@@ -160,7 +167,7 @@ def check_t4(largest):
     Wrong
         With the maximal safe set at that bound, or a little above it.
     """
-    bound = float(require_array(largest, (), "largest"))
+    bound = require_number(largest, "largest")
     require(bound >= 0, f"largest = {bound:g} is negative; a bound on |d| is at least 0")
     truth = largest_disturbance(spiral(), accuracy=ACCURACY / 10)
     require(
@@ -177,11 +184,7 @@ def check_t4(largest):
 # -- parts --------------------------------------------------------------------------------------------
 
 
-def _text(x):
-    return np.round(np.asarray(x, float), 4).tolist()
-
-
-def _box(P):
+def _box(P: Polytope) -> str:
     """A box for messages."""
     lower, upper = P.bounding_box()
-    return f"{_text(lower)} to {_text(upper)}"
+    return f"{text(lower)} to {text(upper)}"

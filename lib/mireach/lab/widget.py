@@ -2,27 +2,37 @@
 
 import io
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import anywidget
 import ipywidgets
 import traitlets
-from matplotlib.figure import Figure
 
-from ..checks import require_kind, whole_number
+from ..checks import whole_number
 from ..errors import MireachError
 from ..files import write_whole
-from ..plotting import legend_above, plot_look, save_svg
-from .model import largest_amount, look, maximal_scene, maximal_set, next_amount, safe_set_at, scene, script, subject
+from ..plotting import legend_above, new_figure, plot_look, save_svg
+from .answers import look, maximal_set, safe_set_at
+from .controls import Settings
+from .messages import KINDS, Message, read_message
+from .scenes import maximal_scene, scene
+from .scripts import script
+from .search import Trials, largest_amount, next_amount
+from .subjects import subject
 
 STATIC = Path(__file__).parent / "static"
-KINDS = {"figure": ("svg", "image/svg+xml"), "sets": ("json", "application/json"), "script": ("py", "text/x-python")}
-SCREEN_DPI = 90  # pixels of the page an inch; pictures have twice as many, for sharp screens
+SCREEN_DPI = 90  # pixels of the page per inch; pictures have twice as many, for sharp screens
+LOOP_CONTROLS = ("regions", "network")  # whose values need cells of their own
+SAFE_SET_CONTROLS = ("network", "regions", "shape", "safe_directions")  # on which F_max depends, beside the amount
 
 
-def step_viewer(draw, count, label="k", size=(5.0, 5.0)):
-    """A slider with a play button that shows one picture a step.
+def step_viewer(
+    draw: Callable[[Any, int], object], count: int, label: str = "k", size: tuple[float, float] = (5.0, 5.0)
+) -> ipywidgets.VBox:
+    """A slider with a play button that shows one picture per step.
 
     Parameters
     ----------
@@ -39,15 +49,25 @@ def step_viewer(draw, count, label="k", size=(5.0, 5.0)):
     -------
     ipywidgets.VBox
         Its children are a row of (Play, IntSlider) and an Image; the slider's value may be set by code.
-    """
-    if count < 1:
-        raise ValueError(f"count must be at least 1, for there must be something to show; got {count}")
-    pictures = {}
 
-    def picture(k):
+    Raises
+    ------
+    ValueError
+        If count is no whole number of at least 1.
+
+    Examples
+    --------
+    >>> viewer = step_viewer(lambda ax, k: ax.plot([0, k]), 3)
+    >>> viewer.children[0].children[1].max
+    2
+    """
+    count = whole_number(count, "count", 1)
+    pictures: dict[int, bytes] = {}
+
+    def picture(k: int) -> bytes:
         if k not in pictures:
-            figure = Figure(figsize=size, dpi=2 * SCREEN_DPI, layout="constrained")
-            draw(figure.add_subplot(), k)
+            figure, ax = new_figure(size, dpi=2 * SCREEN_DPI)
+            draw(ax, k)
             file = io.BytesIO()
             figure.savefig(file, format="png")
             pictures[k] = file.getvalue()
@@ -82,6 +102,8 @@ class DisturbanceLab(anywidget.AnyWidget):
 
     Raises
     ------
+    TypeError
+        If `case` is none of these.
     ValueError
         If there is no such case or control, or the loop has not two states.
 
@@ -90,41 +112,47 @@ class DisturbanceLab(anywidget.AnyWidget):
     >>> lab = DisturbanceLab("pwa", amount=0.1)
     >>> lab.settings = {**lab.settings, "amount": 0.2}
     >>> lab.look.safe.verdict
-    'proven'
+    'refuted'
     """
 
     _esm = STATIC / "lab.js"
     _css = STATIC / "lab.css"
     name = traitlets.Unicode().tag(sync=True)
-    controls = traitlets.List().tag(sync=True)
+    controls: Any = traitlets.List().tag(sync=True)
     settings = traitlets.Dict().tag(sync=True)
     picture = traitlets.Dict().tag(sync=True)
     curve = traitlets.Dict().tag(sync=True)
     layer = traitlets.Dict().tag(sync=True)
 
-    def __init__(self, case, **settings):
+    def __init__(self, case: Any, **settings: Any) -> None:
         self.subject = subject(case)
-        self._stamp, self._looks, self._known, self._prepared, self._maximal = 0, 0, {}, [], None
+        self._stamp = 0  # of the last message that asked for a look
+        self._looks = 0
+        self._trials: dict[tuple[Any, ...], Trials] = {}  # values of SAFE_SET_CONTROLS -> trials
+        self._prepared: list[Settings] = []
+        self._maximal: Any = None
         controls = [{**asdict(control), "choices": control.choices or None} for control in self.subject.controls]
         super().__init__(name=self.subject.name, controls=controls, settings=self.subject.settle(settings))
         self._answer()
         self.observe(self._answer, names="settings")
         self.on_msg(self._on_message)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"DisturbanceLab of {self.subject.name}: it appears where a kernel is running"
 
-    def script(self):
+    def script(self) -> str:
         """Lines of Python that compute the same sets without the lab."""
         return script(self.subject, self.settings)
 
-    def save(self, path):
+    def save(self, path: str | Path) -> None:
         """Write the present look to a file: its figure (.svg), its sets (.json), or the Python that makes them (.py).
 
         Raises
         ------
         ValueError
             If the name ends otherwise.
+        OSError
+            If the file cannot be written.
         """
         kinds = {f".{ending}": kind for kind, (ending, _) in KINDS.items()}
         path = Path(path)
@@ -133,64 +161,62 @@ class DisturbanceLab(anywidget.AnyWidget):
         write_whole(path, self._text(kinds[path.suffix]))
 
     @traitlets.validate("settings")
-    def _settle(self, proposal):
+    def _settle(self, proposal: dict[str, Any]) -> Settings:
         try:
             return self.subject.settle(proposal["value"])
-        except ValueError as error:
+        except (TypeError, ValueError) as error:
             raise traitlets.TraitError(str(error)) from error
 
-    def _answer(self, _change=None):
-        """Compute the look of the present settings and hand it to the page."""
+    def _answer(self, _change: object = None) -> None:
+        """Compute the look of the present settings and send it to the page."""
         self.look = look(self.subject, self.settings)
         self._looks += 1
         self.picture = {**scene(self.look), "stamp": self._stamp, "number": self._looks}
         self._show_curve()
 
-    def _on_message(self, _widget, message, _buffers):
-        """What the page asks for: a look at other settings, some idle work, the maximal safe set, or a file.
-
-        A message that cannot be answered changes nothing; the page shows why, as the "error" of `picture`.
-        """
+    def _on_message(self, _widget: object, content: Any, _buffers: object) -> None:
+        """Answer a message of the page. One that cannot be answered changes nothing but the error that is shown."""
+        try:
+            message = read_message(content)
+        except (TypeError, ValueError) as error:
+            self._show_error(error)
+            return
         try:
             self._do(message)
         except (MireachError, ValueError, ArithmeticError) as error:
-            self.picture = {**self.picture, "error": str(error), "stamp": self._stamp}
+            self._show_error(error)
 
-    def _do(self, message):
-        """Answer one message; ValueError if it is none that the page sends."""
-        require_kind(message, dict, "a message of the page")
-        do = message.get("do")
-        if do == "look":
-            self._stamp = whole_number(message.get("stamp"), "stamp", 0)
-            wanted = self.subject.settle(message.get("settings"))
+    def _show_error(self, error: Exception) -> None:
+        self.picture = {**self.picture, "error": str(error), "stamp": self._stamp}
+
+    def _do(self, message: Message) -> None:
+        """Do what a message asks for."""
+        if message.do == "look":
+            self._stamp = message.stamp
+            wanted = self.subject.settle(message.settings)
             if wanted == self.settings:
                 self._answer()
             self.settings = wanted
-        elif do == "idle":
+        elif message.do == "idle":
             self._idle()
-        elif do == "layer":
-            found = maximal_set(self.look.loop)
-            self.layer = {**maximal_scene(found, self.look.loop.system.state_set), "number": self._looks}
-            self._maximal = found.set
-        elif do == "save":
-            kind = message.get("kind")
-            if kind not in tuple(KINDS):
-                raise ValueError(f"a file must be of the kind {', '.join(KINDS)}; got {kind!r:.80}")
-            ending, media = KINDS[kind]
-            name = f"mireach_{self.subject.name}.{ending}"
-            self.send({"file": name, "type": media, "text": self._text(kind)})
+        elif message.do == "layer":
+            maximal = maximal_set(self.look.loop)
+            self.layer = {**maximal_scene(maximal, self.look.loop.system.state_set), "number": self._looks}
+            self._maximal = maximal.set
         else:
-            raise ValueError(f"a message must ask for look, idle, layer or save; got {do!r:.80}")
+            ending, media = KINDS[message.kind]
+            name = f"mireach_{self.subject.name}.{ending}"
+            self.send({"file": name, "type": media, "text": self._text(message.kind)})
 
-    def _text(self, kind):
+    def _text(self, kind: str) -> str:
+        """The content of a file of one of the `KINDS`."""
         if kind == "script":
             return self.script()
         maximal = self._maximal if self.layer.get("number") == self._looks else None
         if kind == "sets":
-            found = {"subject": self.subject.name, **self.look.to_dict()}
-            return json.dumps(found | {"maximal_safe_set": maximal and maximal.to_dict()}, indent=1)
-        figure = Figure(figsize=(6, 6.4), layout="constrained")
-        ax = figure.add_subplot()
+            content = {"subject": self.subject.name, **self.look.to_dict()}
+            return json.dumps(content | {"maximal_safe_set": maximal and maximal.to_dict()}, indent=1)
+        figure, ax = new_figure((6, 6.4))
         plot_look(ax, self.look, maximal=maximal)
         legend_above(ax, 4)
         file = io.StringIO()
@@ -200,48 +226,47 @@ class DisturbanceLab(anywidget.AnyWidget):
     # -- work for idle moments: the largest disturbance, then what the next click may need -------------
 
     @property
-    def _points(self):
-        """What is known of safe sets for other amounts of disturbance: amount -> Polytope or None."""
-        others = ("network", "regions", "shape", "safe_directions")
-        return self._known.setdefault(tuple(self.settings.get(name) for name in others), {})
+    def _present_trials(self) -> Trials:
+        """The trials of other amounts of disturbance, with all else as in the present settings."""
+        values = tuple(self.settings.get(name) for name in SAFE_SET_CONTROLS)
+        return self._trials.setdefault(values, {})
 
-    def _idle(self):
+    def _idle(self) -> None:
         """One short piece of work: one more amount of disturbance, or cells that a click may need."""
         amount = self._next_amount()
         if amount is not None:
-            self._points[amount] = safe_set_at(self.subject, self.settings, amount)
+            self._present_trials[amount] = safe_set_at(self.subject, self.settings, amount)
         elif self._ahead:
             look(self.subject, {**self.settings, **self._ahead[0]})
             self._prepared.append(self._ahead[0])
         self._show_curve()
 
     @property
-    def _ahead(self):
+    def _ahead(self) -> list[Settings]:
         """Settings one click away that need cells of their own and have not been looked at."""
-        controls = [self.subject.control(name) for name in ("regions", "network")]
-        ahead = []
-        for control in filter(None, controls):
-            values = control.choices or range(int(control.low), int(control.high) + 1)
-            now = {name: self.settings[name] for name in ("regions", "network") if name in self.settings}
-            ahead += [{**now, control.name: value} for value in values]
+        now = {name: self.settings[name] for name in LOOP_CONTROLS if name in self.settings}
+        ahead: list[Settings] = []
+        for control in filter(None, map(self.subject.control, LOOP_CONTROLS)):
+            ahead += [{**now, control.name: value} for value in control.values()]
         return [one for one in ahead if one not in self._prepared]
 
-    def _next_amount(self):
-        control = self.subject.control("amount")
-        return next_amount(self._points, control.low, control.high)
+    def _next_amount(self) -> float | None:
+        control = self.subject.amount
+        return next_amount(self._present_trials, control.low, control.high)
 
-    def _show_curve(self):
-        """Hand to the page what is known of the largest disturbance."""
-        points = sorted(self._points.items())
-        largest, settled = largest_amount(self._points), self._next_amount() is None
-        found = "none" if largest is None else f"{largest:.4f}"
-        if largest == self.subject.control("amount").high:
-            found = f"{found} or more, the end of the range"
+    def _show_curve(self) -> None:
+        """Send to the page what the trials show of the largest disturbance."""
+        trials = self._present_trials
+        largest, settled = largest_amount(trials), self._next_amount() is None
+        text = "none" if largest is None else f"{largest:.4f}"
+        if largest == self.subject.amount.high:
+            text = f"{text} or more, the end of the range"
+        best = None if largest is None else trials[largest]
         self.curve = {
-            "points": [[amount, found and found.area] for amount, found in points],
+            "points": [[amount, found and found.area] for amount, found in sorted(trials.items())],
             "largest": largest,
-            "largest_set": None if largest is None else self._points[largest].vertices().tolist(),
+            "largest_set": None if best is None else best.vertices().tolist(),
             "settled": settled,
             "done": settled and not self._ahead,
-            "summary": f"Area of F_max over the disturbance; largest with an F_max: {found}.",
+            "summary": f"Area of F_max over the disturbance; largest with an F_max: {text}.",
         }

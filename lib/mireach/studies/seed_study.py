@@ -5,29 +5,33 @@ import hashlib
 import io
 import json
 import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from time import perf_counter
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from tqdm.auto import tqdm
 
 from ..analysis.maximal_set import maximal_safe_set
-from ..analysis.safe_set import safe_set
+from ..analysis.safe_set import SafeSet, safe_set
 from ..analysis.terminal_set import terminal_set
 from ..certificate.writer import write
 from ..checks import whole_number
 from ..engines.cells import cells
 from ..errors import CorruptFileError, MireachError, MissingExtraError
 from ..files import END, PART, read_json, write_json, write_whole
-from ..learning.datasets import MAKERS, DataSet
+from ..learning.datasets import DataSet
 from ..systems.network import MaxoutNetwork
 from ..workers import in_parallel
-from .case_studies import PAPER, PLANTS, SHAPES, case_study, data_file, require_name
+from .case_studies import CaseStudy, case_definition, case_study, data_file, paper_case_definition
 
 FINISHED = "mireach-finished-seed/1"  # format of a file that keeps one seed of an unfinished study
 CLEAR = 1e-6  # an alpha counts as above 1 by more than this, what a MILP solver resolves
+PACKAGE = Path(__file__).parents[1]  # whose code decides what a seed leads to
 LOSS_FACTOR = 2.0  # a network may be shipped if its loss is within this factor of the best eligible one
 
 
@@ -49,7 +53,7 @@ class SeedRow:
     x1_min, x1_max, x2_min, x2_max : float
         Extent of F_max; nan if none was found.
     steps, criterion, alpha : int, bool, float
-        k-bar about the origin, whether eq. TerminationFmin held there, and the alpha of Theorem 1.
+        k-bar about the origin, whether eq. (25), TerminationFmin, held there, and the alpha of Theorem 1.
     steps_equilibrium, criterion_equilibrium, alpha_equilibrium : int, bool, float
         The same about the closed loop's equilibrium; 0, False and nan if it has none.
     train_seconds, analysis_seconds : float
@@ -90,9 +94,28 @@ class SeedRow:
     maximal_iterations: int = 0
     maximal_seconds: float = np.nan
 
+    def __str__(self) -> str:
+        return (
+            f"seed {self.seed}: loss {self.loss:.4g}, F_max {self.verdict} after {self.iterations} iterations, "
+            f"k-bar = {self.steps}, alpha = {self.alpha:.9g}"
+        )
 
-def study(name, seeds=range(50), *, jobs=-1, scheduler=None, progress=True, keep=None, **training):
-    """Train and analyse one network a seed.
+
+Networks = dict[int, MaxoutNetwork]  # by seed
+Finished = tuple[SeedRow, MaxoutNetwork]  # what one seed leads to
+
+
+def study(
+    name: str,
+    seeds: Iterable[int] = range(50),
+    *,
+    jobs: int = -1,
+    scheduler: str | None = None,
+    progress: bool = False,
+    keep: str | Path | None = None,
+    **training: Any,
+) -> tuple[list[SeedRow], Networks]:
+    """Train and analyse one network per seed.
 
     Parameters
     ----------
@@ -119,25 +142,27 @@ def study(name, seeds=range(50), *, jobs=-1, scheduler=None, progress=True, keep
 
     Raises
     ------
-    MireachError
-        If `scheduler` is given and dask.distributed is missing.
+    MissingExtraError
+        If `scheduler` is given and dask.distributed is missing, or more than one job is asked for and joblib is.
+    ValueError
+        If there is no such case.
     """
-    seeds = list(dict.fromkeys(map(int, seeds)))
-    origin = None if keep is None else _origin(name, training)
-    found = {} if keep is None else _kept(Path(keep), origin, seeds)
-    tasks = [(name, seed, training) for seed in seeds if seed not in found]
-    bar = tqdm(total=len(seeds), initial=len(found), desc="seeds", unit="network", disable=not progress)
+    chosen = list(dict.fromkeys(map(int, seeds)))
+    store = None if keep is None else _Store(Path(keep), _origin(name, training))
+    finished = {} if store is None else store.load(chosen)
+    tasks = [(name, seed, training) for seed in chosen if seed not in finished]
+    bar = tqdm(total=len(chosen), initial=len(finished), desc="seeds", unit="network", disable=not progress)
     with bar:
         for row, network in _results(tasks, jobs, scheduler):
-            found[row.seed] = row, network
-            if keep is not None:
-                _keep(Path(keep) / f"{row.seed}.json", origin, row, network)
+            finished[row.seed] = row, network
+            if store is not None:
+                store.save(row, network)
             bar.update()
-    found = {seed: found[seed] for seed in sorted(found)}
-    return [row for row, _ in found.values()], {seed: network for seed, (_, network) in found.items()}
+    ordered = [finished[seed] for seed in sorted(finished)]
+    return [row for row, _ in ordered], {row.seed: network for row, network in ordered}
 
 
-def _results(tasks, jobs, scheduler):
+def _results(tasks: Sequence[tuple[str, int, dict[str, Any]]], jobs: int, scheduler: str | None) -> Iterator[Finished]:
     """Yield (SeedRow, MaxoutNetwork) of each task, as soon as it is there."""
     if scheduler is None:
         yield from in_parallel(_run_task, tasks, jobs, ordered=False)
@@ -152,11 +177,11 @@ def _results(tasks, jobs, scheduler):
             yield future.result()
 
 
-def _run_task(name, seed, training):
+def _run_task(name: str, seed: int, training: dict[str, Any]) -> Finished:
     return run_seed(name, seed, **training)
 
 
-def run_seed(name, seed, **training):
+def run_seed(name: str, seed: int, **training: Any) -> Finished:
     """Train the network of one seed and analyse it: (SeedRow, MaxoutNetwork)."""
     begin = perf_counter()
     network, loss = train_case(name, seed, progress=False, **training)
@@ -164,44 +189,63 @@ def run_seed(name, seed, **training):
     return replace(analyse_seed(name, seed, network, loss), train_seconds=seconds), network
 
 
-def train_case(name, seed, data=None, **training):
+def train_case(name: str, seed: int, data: DataSet | None = None, **training: Any) -> tuple[MaxoutNetwork, float]:
     """The network of one seed, trained on the shipped data of a case (or on `data`): (MaxoutNetwork, loss).
 
     One thread, so that a seed gives the same network whatever else runs.
     """
-    import torch
-
+    _torch().set_num_threads(1)
     from ..learning.training import train
 
-    torch.set_num_threads(1)
+    definition = case_definition(name)
     data = DataSet.load(data_file(name, "samples.csv")) if data is None else data
-    lower, upper = PLANTS[name]().input_set.bounding_box()
-    result = train(data.states, data.inputs, **SHAPES[name], lower=lower, upper=upper, rng=seed, **training)
+    lower, upper = definition.plant().input_set.bounding_box()
+    options = {**definition.shape._asdict(), "lower": lower, "upper": upper, "seed": seed, **training}
+    result = train(data.states, data.inputs, **options)
     return result.network, result.loss
 
 
-def analyse_seed(name, seed, network, loss):
+def _torch() -> ModuleType:
+    """PyTorch, with the error that names the extra where it is missing."""
+    try:
+        import torch
+    except ImportError as error:
+        raise MissingExtraError("training", "torch", "train") from error
+    return torch
+
+
+def analyse_seed(name: str, seed: int, network: MaxoutNetwork, loss: float) -> SeedRow:
     """The sets of a trained network, as a SeedRow."""
     begin = perf_counter()
     case = case_study(name, network)
     safe = safe_set(case.loop, case.safe_directions)
-    row = {"seed": seed, "loss": loss, "cells": len(cells(case.loop)), "verdict": safe.verdict}
+    row: dict[str, Any] = {"seed": seed, "loss": loss, "cells": len(cells(case.loop)), "verdict": safe.verdict}
     row["iterations"] = safe.iterations
     if safe.set is not None:
         lower, upper = safe.set.bounding_box()
         row |= {"x1_min": lower[0], "x2_min": lower[1], "x1_max": upper[0], "x2_max": upper[1]}
-        for centre, suffix in (("origin", ""), ("equilibrium", "_equilibrium")):
-            try:
-                found = terminal_set(case.loop, safe, case.directions, case.epsilon, centre)
-            except ValueError:  # the loop has no equilibrium: the row keeps its defaults
-                continue
-            row |= {"steps" + suffix: found.steps, "criterion" + suffix: found.criterion, "alpha" + suffix: found.alpha}
+        row |= _terminal_columns(case, safe, "origin", "") | _terminal_columns(
+            case, safe, "equilibrium", "_equilibrium"
+        )
     row["analysis_seconds"] = perf_counter() - begin
     row |= _maximal_columns(case, safe)
     return SeedRow(**{key: value.item() if isinstance(value, np.generic) else value for key, value in row.items()})
 
 
-def reanalyse(name, jobs=-1, folder=None, progress=True):
+def _terminal_columns(case: CaseStudy, safe: SafeSet, centre: str, suffix: str) -> dict[str, Any]:
+    """The columns of the terminal set about a centre; none where the loop has no equilibrium."""
+    try:
+        terminal = terminal_set(case.loop, safe, case.directions, case.epsilon, centre)
+    except ValueError:
+        return {}
+    return {
+        "steps" + suffix: terminal.steps,
+        "criterion" + suffix: terminal.criterion,
+        "alpha" + suffix: terminal.alpha,
+    }
+
+
+def reanalyse(name: str, jobs: int = -1, folder: str | Path | None = None, *, progress: bool = False) -> str:
     """Compute the columns of the maximal safe set for the networks of a shipped study, without training.
 
     Parameters
@@ -220,9 +264,9 @@ def reanalyse(name, jobs=-1, folder=None, progress=True):
         What came out, for people.
     """
     rows, networks = load_study(name)
-    found = in_parallel(_maximal_of, [(name, networks[row.seed]) for row in rows], jobs)
-    found = list(tqdm(found, total=len(rows), desc="seeds", unit="network", disable=not progress))
-    rows = [replace(row, **columns) for row, columns in zip(rows, found)]
+    columns = in_parallel(_maximal_of, [(name, networks[row.seed]) for row in rows], jobs)
+    shown = tqdm(columns, total=len(rows), desc="seeds", unit="network", disable=not progress)
+    rows = [replace(row, **maximal) for row, maximal in zip(rows, shown)]
     path = Path(folder or data_file(name, "")) / "seeds.csv"
     save_rows(path, rows)
     ratios = [row.area_ratio for row in rows if np.isfinite(row.area_ratio)]
@@ -233,8 +277,8 @@ def reanalyse(name, jobs=-1, folder=None, progress=True):
     )
 
 
-def choose(name, rows):
-    """The row that is shipped: the nearest to the paper's figures among networks that fit about as well as any.
+def choose(name: str, rows: Sequence[SeedRow]) -> SeedRow:
+    """The row that is shipped: the nearest to the paper's numbers among networks that fit about as well as any.
 
     Parameters
     ----------
@@ -252,29 +296,34 @@ def choose(name, rows):
 
     Notes
     -----
-    Eligible are rows for which the paper's claims hold (a proven safe set, eq. TerminationFmin about the
+    Eligible are rows for which the paper's claims hold (a proven safe set, eq. (25), TerminationFmin, about the
     origin, alpha > 1 by more than `CLEAR`) and whose loss is within twice the best loss of such rows. The
-    distance is the sum of the relative differences of the figures that the paper prints: iterations of
-    F_max, k-bar, and for `pwa` the right end of F_max, the side of it that differs between the networks.
+    distance is the sum of the relative differences of the numbers that the paper prints: iterations of
+    F_max, k-bar, and where it prints the box F_max its right end, the side that differs between the networks.
+
+    Examples
+    --------
+    >>> rows, networks = load_study("pwa")
+    >>> networks[choose("pwa", rows).seed].to_dict() == case_study("pwa").network.to_dict()
+    True
     """
-    require_name(name, tuple(PAPER))
-    paper = PAPER[name]
+    paper = paper_case_definition(name).paper
     sound = [row for row in rows if row.verdict == "proven" and row.criterion and row.alpha > 1 + CLEAR]
     if not sound:
         raise MireachError(f"none of {len(rows)} networks of case {name} has both sets and alpha > 1; train more seeds")
     best = min(row.loss for row in sound)
     good = [row for row in sound if row.loss <= LOSS_FACTOR * best]
 
-    def distance(row):
-        pairs = [(row.iterations, paper["iterations"]), (row.steps, paper["steps"])]
-        if name == "pwa":
+    def distance(row: SeedRow) -> float:
+        pairs: list[tuple[float, float]] = [(row.iterations, paper["iterations"]), (row.steps, paper["steps"])]
+        if "safe_set_box" in paper:
             pairs.append((row.x1_max, paper["safe_set_box"][1][0]))
         return sum(abs(here - there) / there for here, there in pairs)
 
     return min(good, key=distance)
 
 
-def save_rows(path, rows):
+def save_rows(path: str | Path, rows: Sequence[SeedRow]) -> None:
     """Write the study as CSV whose numbers read back to the same floats; the last line gives the number of rows."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -283,21 +332,26 @@ def save_rows(path, rows):
     write_whole(path, text.getvalue() + END.format(len(rows)) + "\n")
 
 
-def load_rows(path):
+def load_rows(path: str | Path) -> list[SeedRow]:
     """Read a study that `save_rows` wrote: list of SeedRow. An older study may lack the last columns.
 
     Raises
     ------
     CorruptFileError
         If the file is not such a study.
+
+    Examples
+    --------
+    >>> len(load_rows(data_file("pwa", "seeds.csv"))) >= 50
+    True
     """
-    known = [field.name for field in fields(SeedRow)]
+    columns = [field.name for field in fields(SeedRow)]
     try:
         *lines, end = Path(path).read_text(encoding="utf-8").splitlines() or [""]
         reader = csv.DictReader(lines)
         needed = [field.name for field in fields(SeedRow) if field.default is MISSING]
         names = reader.fieldnames or []
-        if names != known[: len(names)] or len(names) < len(needed):
+        if names != columns[: len(names)] or len(names) < len(needed):
             raise ValueError("its first line does not name the columns of SeedRow")
         if end != END.format(len(lines) - 1):
             raise ValueError("its last line does not give the number of rows it holds; it is truncated")
@@ -306,22 +360,20 @@ def load_rows(path):
         raise CorruptFileError(f"{path} holds no seed study: {error!r}; make it again") from error
 
 
-def _row(texts):
+def _row(texts: dict[str, str]) -> SeedRow:
     """The SeedRow of a dict of column to text."""
-    kinds = {
-        field.name: {"True": True, "False": False}.__getitem__ if field.type is bool else field.type
-        for field in fields(SeedRow)
-    }
-    return SeedRow(**{key: kinds[key](text) for key, text in texts.items()})
+    readers: dict[Any, Callable[[str], Any]] = {bool: {"True": True, "False": False}.__getitem__}
+    kinds: dict[str, Any] = {field.name: field.type for field in fields(SeedRow)}
+    return SeedRow(**{key: readers.get(kinds[key], kinds[key])(text) for key, text in texts.items()})
 
 
-def save_networks(path, networks):
+def save_networks(path: str | Path, networks: Networks) -> None:
     """Write the networks of a study, one JSON object per line: {"seed": ..., "network": ...}, and {"end": count}."""
     lines = [json.dumps({"seed": seed, "network": network.to_dict()}) for seed, network in sorted(networks.items())]
     write_whole(path, "\n".join([*lines, json.dumps({"end": len(lines)})]) + "\n")
 
 
-def load_networks(name):
+def load_networks(name: str) -> Networks:
     """All networks of the shipped seed study of a case: dict of seed to MaxoutNetwork.
 
     Raises
@@ -340,13 +392,19 @@ def load_networks(name):
         raise CorruptFileError(f"{path} holds no networks of a seed study: {error!r}; restore it") from error
 
 
-def load_study(name):
+def load_study(name: str) -> tuple[list[SeedRow], Networks]:
     """Rows and networks of the shipped seed study of a case: (list of SeedRow, dict of seed to MaxoutNetwork).
 
     Raises
     ------
     CorruptFileError
         If a file is truncated or holds anything else, or the two hold different seeds.
+
+    Examples
+    --------
+    >>> rows, networks = load_study("pwa")
+    >>> networks[rows[0].seed].input_size
+    2
     """
     rows, networks = load_rows(data_file(name, "seeds.csv")), load_networks(name)
     if sorted(row.seed for row in rows) != sorted(networks):
@@ -357,35 +415,48 @@ def load_study(name):
     return rows, networks
 
 
-def _origin(name, training):
+def _origin(name: str, training: dict[str, Any]) -> str:
     """A digest of all that decides what a seed leads to: data, options, this package, and the version of PyTorch."""
-    from ..learning.training import torch
-
-    found = hashlib.sha256(f"{name} {sorted(training.items())} {torch.__version__} {np.__version__}".encode())
-    for path in [data_file(name, "samples.csv"), *sorted(Path(__file__).parents[1].rglob("*.py"))]:
-        found.update(path.read_bytes())
-    return found.hexdigest()
+    digest = hashlib.sha256(f"{name} {sorted(training.items())} {_torch().__version__} {np.__version__}".encode())
+    for path in [data_file(name, "samples.csv"), *sorted(PACKAGE.rglob("*.py"))]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
-def _keep(path, origin, row, network):
-    """Write what one seed led to."""
-    numbers = {key: str(value) for key, value in asdict(row).items()}
-    write_json(path, {"format": FINISHED, "origin": origin, "row": numbers, "network": network.to_dict()})
+@dataclass(frozen=True)
+class _Store:
+    """A folder that keeps the finished seeds of one study, one file each; `origin` tells studies apart."""
+
+    folder: Path
+    origin: str
+
+    def save(self, row: SeedRow, network: MaxoutNetwork) -> None:
+        """Write what one seed led to."""
+        numbers = {key: str(value) for key, value in asdict(row).items()}
+        content = {"format": FINISHED, "origin": self.origin, "row": numbers, "network": network.to_dict()}
+        write_json(self.folder / f"{row.seed}.json", content)
+
+    def load(self, seeds: Iterable[int]) -> dict[int, Finished]:
+        """What `save` wrote of these seeds, if its origin is the same: by seed."""
+        finished = {}
+        for seed in seeds:
+            with suppress(FileNotFoundError, CorruptFileError, KeyError, TypeError, ValueError):  # is run again
+                value = read_json(self.folder / f"{seed}.json", FINISHED)
+                row = _row(value["row"])
+                if value["origin"] == self.origin and row.seed == seed:
+                    finished[seed] = row, MaxoutNetwork.from_dict(value["network"])
+        return finished
 
 
-def _kept(folder, origin, seeds):
-    """What `_keep` wrote of these seeds, if its origin is the same: dict of seed to (SeedRow, MaxoutNetwork)."""
-    found = {}
-    for seed in seeds:
-        with suppress(FileNotFoundError, CorruptFileError, KeyError, TypeError, ValueError):  # such a seed is run again
-            value = read_json(folder / f"{seed}.json", FINISHED)
-            row = _row(value["row"])
-            if value["origin"] == origin and row.seed == seed:
-                found[seed] = row, MaxoutNetwork.from_dict(value["network"])
-    return found
-
-
-def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=True):
+def make_study(
+    name: str,
+    count: int = 50,
+    *,
+    jobs: int = -1,
+    scheduler: str | None = None,
+    folder: str | Path | None = None,
+    progress: bool = False,
+) -> str:
     """Run the study of a case and write seeds.csv, seed_networks.jsonl and the chosen network.json.
 
     A study that was interrupted is resumed: finished networks are kept in the folder seeds.part until it ends.
@@ -405,10 +476,10 @@ def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=Tr
     str
         What was chosen, for people.
     """
-    require_name(name, tuple(PAPER))
+    paper_case_definition(name)
     count = whole_number(count, "count", 1)
     if scheduler is None and not jobs:
-        raise ValueError("jobs must not be 0; -1 is one process a core")
+        raise ValueError("jobs must not be 0; -1 is one process per core")
     folder = Path(folder or data_file(name, ""))
     keep = folder / f"seeds{PART}"
     rows, networks = study(name, range(count), jobs=jobs, scheduler=scheduler, progress=progress, keep=keep)
@@ -420,7 +491,7 @@ def make_study(name, count=50, jobs=-1, scheduler=None, folder=None, progress=Tr
     return f"seed {chosen.seed} of {count} is written to {folder / 'network.json'}: {chosen}"
 
 
-def retrain(name, seed=None, folder=None, progress=True):
+def retrain(name: str, seed: int | None = None, folder: str | Path | None = None, *, progress: bool = False) -> str:
     """Make the data set of a case and train one network on it, from scratch.
 
     Parameters
@@ -438,19 +509,19 @@ def retrain(name, seed=None, folder=None, progress=True):
     str
         What came out, for people.
     """
-    require_name(name)
+    definition = case_definition(name)
     if seed is None:
-        seed = choose(name, load_rows(data_file(name, "seeds.csv"))).seed if name in PAPER else 0
+        seed = choose(name, load_rows(data_file(name, "seeds.csv"))).seed if definition.paper else 0
     folder = Path(folder or data_file(name, ""))
-    data = MAKERS[name](progress=progress)
+    data = definition.make_data(progress=progress)
     data.save(folder / "samples.csv")
     network, loss = train_case(name, seed, data, progress=progress)
     network.save(folder / "network.json")
-    found = analyse_seed(name, seed, network, loss) if name in PAPER else _certify(name, network, folder, progress)
-    return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {found}"
+    outcome = analyse_seed(name, seed, network, loss) if definition.paper else _certify(name, network, folder, progress)
+    return f"{data!r}; seed {seed}, loss {loss:.6g}, written to {folder}; {outcome}"
 
 
-def _certify(name, network, folder, progress):
+def _certify(name: str, network: MaxoutNetwork, folder: Path, progress: bool) -> str:
     """Find F_max and the terminal set of a trained network and write certificate.json: what came out, for people."""
     case = case_study(name, network)
     safe = safe_set(case.loop, case.safe_directions, progress=progress)
@@ -461,23 +532,23 @@ def _certify(name, network, folder, progress):
     return f"F_max after {safe.iterations} iterations; {terminal.reason}, alpha = {terminal.alpha:.9g}"
 
 
-def _maximal_of(name, network):
+def _maximal_of(name: str, network: MaxoutNetwork) -> dict[str, Any]:
     """The columns of the maximal safe set for a network."""
     case = case_study(name, network)
     return _maximal_columns(case, safe_set(case.loop, case.safe_directions))
 
 
-def _maximal_columns(case, safe):
+def _maximal_columns(case: CaseStudy, safe: SafeSet) -> dict[str, Any]:
     """The columns of the maximal safe set: dict."""
     begin = perf_counter()
-    found = maximal_safe_set(case.loop)
+    maximal = maximal_safe_set(case.loop)
     seconds = perf_counter() - begin
-    safe_area, area = (0.0 if part.set is None else part.set.area for part in (safe, found))
+    safe_area, area = (0.0 if part.set is None else part.set.area for part in (safe, maximal))
     return {
         "safe_area": safe_area,
-        "maximal_verdict": found.verdict,
+        "maximal_verdict": maximal.verdict,
         "maximal_area": area,
         "area_ratio": area / safe_area if safe_area else np.nan,
-        "maximal_iterations": found.iterations,
+        "maximal_iterations": maximal.iterations,
         "maximal_seconds": seconds,
     }

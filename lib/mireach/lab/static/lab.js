@@ -1,13 +1,13 @@
-// The picture and the controls of mireach.widgets.DisturbanceLab, an anywidget module without dependencies.
+// The picture and the controls of mireach.lab.DisturbanceLab, an anywidget module without dependencies.
 //
-// The page asks for one look at a time: while an answer is on its way, only the newest wish is kept. Everything that
-// needs no set anew (which set is marked, zoom, play) stays in the browser.
+// The page asks for one look at a time: while an answer is on its way, only the newest request is kept. Everything that
+// needs no new set (which set is marked, zoom, play) stays in the browser.
 
 const SIZE = 520; // of the picture, in CSS pixels
 const EDGE = { left: 42, right: 8, top: 8, bottom: 34 };
 const CHART = { width: 340, height: 132, left: 40, right: 10, top: 18, bottom: 30 };
 const IDLE = 200; // ms without a wish before the largest disturbance is looked for
-const PLAY = 300; // ms a set
+const PLAY = 300; // ms per set
 const OWN_KEYS = ["data-lm-suppress-shortcuts", "true"]; // else JupyterLab takes the arrow keys
 const VIEWS = { state: "all of X", safe: "the safe set", terminal: "the terminal set" };
 

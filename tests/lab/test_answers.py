@@ -1,4 +1,4 @@
-"""The lab's settings, looks and bisection against the library asked directly; every control at its ends and beyond."""
+"""Looks of the lab, their scenes and scripts, against the library asked directly."""
 
 import json
 
@@ -7,7 +7,7 @@ import pytest
 from loops import random_loop
 
 import mireach as mr
-from mireach.lab import model as lab
+from mireach import lab
 from mireach.studies.case_studies import double_integrator_fit
 from mireach.studies.seed_study import load_networks
 
@@ -21,52 +21,6 @@ def subjects():
 
 def same(P, Q):
     return (P.H == Q.H).all() and (P.h == Q.h).all()
-
-
-# -- settings -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_every_control_works_at_both_ends_and_beyond_them(subjects, name):
-    subject = subjects[name]
-    for control in subject.controls:
-        ends = list(control.choices) or [control.low, control.high]
-        for value in ends:
-            look = lab.look(subject, {control.name: value})
-            assert look.settings[control.name] == value
-            assert look.safe.verdict in ("proven", "refuted", "unknown")
-            json.dumps(lab.scene(look), allow_nan=False)
-        if not control.choices:
-            assert subject.settle({control.name: control.low - 7})[control.name] == control.low
-            assert subject.settle({control.name: control.high + 7})[control.name] == control.high
-            for wrong in (np.nan, np.inf, "much", None):
-                with pytest.raises(ValueError, match=control.name):
-                    subject.settle({control.name: wrong})
-        else:
-            for wrong in ("none of them", -3, None):
-                with pytest.raises(ValueError, match=control.name):
-                    subject.settle({control.name: wrong})
-
-
-def test_unknown_controls_and_subjects_are_named(subjects):
-    with pytest.raises(ValueError, match="no control bound; there are amount"):
-        subjects["pwa"].settle({"bound": 0.1})
-    with pytest.raises(ValueError, match="no case study 'pwb'"):
-        lab.subject("pwb")
-    with pytest.raises(TypeError, match="case must be of the kind"):
-        lab.subject(3)
-    with pytest.raises(ValueError, match="3 states"):
-        lab.subject(random_loop(0, n=3))
-    with pytest.raises(ValueError, match="3 states"):
-        lab.subject("three_tanks")
-
-
-def test_whole_numbers_are_rounded_and_others_are_not(subjects):
-    settled = subjects["pwa"].settle({"directions": 9.6, "amount": 0.123})
-    assert settled["directions"] == 10 and isinstance(settled["directions"], int) and settled["amount"] == 0.123
-
-
-# -- looks --------------------------------------------------------------------------------------------
 
 
 def test_default_look_is_the_case_study(subjects):
@@ -170,27 +124,3 @@ def test_loop_of_ones_own_is_scaled_about_zero_even_if_its_sets_are_not():
         np.testing.assert_allclose(after.disturbance.support(V), 2 * before.disturbance.support(V), atol=1e-9)
     nothing = lab.look(lab.subject(loop), {"amount": 0.0})
     assert all(np.abs(mode.disturbance.vertices()).max() < 1e-12 for mode in nothing.loop.system.modes)
-
-
-# -- the largest disturbance --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("limit", "wanted"), [(0.3, 0.3), (0.0, 0.0), (-1, None), (5, 2.0)])
-def test_bisection_closes_in_on_the_largest_amount(limit, wanted):
-    known, tries = {}, 0
-    while (amount := lab.next_amount(known, 0.0, 2.0)) is not None:
-        known[amount] = mr.Polytope.box([0], [1]) if amount <= limit else None
-        tries += 1
-    found = lab.largest_amount(known)
-    assert tries < 40 and (found is None if wanted is None else wanted - 2 * lab.ACCURACY <= found <= wanted)
-
-
-def test_largest_disturbance_of_a_contraction_is_known_by_hand():
-    # x+ = x / 2 + d with |d| <= 0.1 a: X = [-1, 1]^2 is invariant up to a = 5
-    X, U = mr.Polytope.box([-1, -1], [1, 1]), mr.Polytope.box([-1], [1])
-    mode = mr.Mode(0.5 * np.eye(2), [[0], [0]], [0, 0], X.product(U), mr.Polytope.box([-0.2, -0.2], [0.2, 0.2]))
-    network = mr.MaxoutNetwork([], np.zeros((1, 2)), np.zeros(1))
-    subject, known = lab.subject(mr.ClosedLoop(mr.PWASystem([mode], X, U), network)), {}
-    while (amount := lab.next_amount(known, 0.0, 3.0)) is not None:
-        known[amount] = lab.safe_set_at(subject, {}, amount)
-    assert lab.largest_amount(known) == pytest.approx(2.5, abs=3 * lab.ACCURACY)

@@ -1,0 +1,231 @@
+"""What the library computes for one choice of settings: the sets and the trajectories of a disturbance lab."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+
+from ..analysis.maximal_set import MaximalSafeSet, maximal_safe_set
+from ..analysis.safe_set import SafeSet, safe_set
+from ..analysis.terminal_set import TerminalSet, terminal_set
+from ..checks import require_kind
+from ..sets.polytope import Polytope
+from ..sets.templates import directions
+from ..studies.case_analysis import SETTLING
+from ..systems.loop import ClosedLoop
+from ..systems.network import MaxoutNetwork
+from ..systems.nonlinear import NonlinearSystem
+from ..typing import Array
+from .controls import Settings, Subject, epsilon_of
+
+TRAJECTORIES = 20
+LONGEST = 50  # steps that are simulated at most
+MAX_ITERATIONS = 300  # sets F_k; close to the largest disturbance the sequence takes ever longer
+MAX_STEPS = 100  # sets R_k-bar; a sequence that has not come to its end by then is not followed on a page
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The answer to one choice of settings.
+
+    Attributes
+    ----------
+    settings : dict
+    loop : ClosedLoop
+    safe : SafeSet
+    terminal : TerminalSet or None
+    remark : str
+        Why there is no terminal set; else empty.
+    nominal : array (steps + 1, 2)
+    disturbed : array (N, steps + 1, 2)
+    plant : array (steps + 1, 2) or None
+        The trajectory of the nonlinear plant, if there is one.
+    seconds : float
+        What the sets took when they were computed.
+
+    See Also
+    --------
+    look
+    """
+
+    settings: Settings
+    loop: ClosedLoop
+    safe: SafeSet
+    terminal: TerminalSet | None
+    remark: str
+    nominal: Array
+    disturbed: Array
+    plant: Array | None
+    seconds: float
+
+    def __str__(self) -> str:
+        safe = f"F_max after {self.safe.iterations} iterations" if self.safe.set else "no F_max"
+        end = f"{self.terminal.steps} steps to the last R_k" if self.terminal else f"no terminal set: {self.remark}"
+        return f"amount {self.settings['amount']:g}: {safe}; {end}"
+
+    @property
+    def sequence(self) -> list[tuple[Literal["F", "R"], int, Polytope]]:
+        """All sets in the order in which they were found: list of (name "F" or "R", k, Polytope)."""
+        sets: list[tuple[Literal["F", "R"], int, Polytope]] = [("F", k, F) for k, F in enumerate(self.safe.history)]
+        if self.terminal:
+            sets += [("R", k, R) for k, R in enumerate(self.terminal.history) if k]
+        return sets
+
+    def to_dict(self) -> dict[str, Any]:
+        """Settings, sets and verdicts, ready for JSON; numbers read back to the same floats."""
+        safe, terminal = self.safe, self.terminal
+        return {
+            "settings": dict(self.settings),
+            "safe_set": {
+                "verdict": safe.verdict,
+                "reason": safe.reason,
+                "iterations": safe.iterations,
+                "set": safe.set and safe.set.to_dict(),
+                "history": [F.to_dict() for F in safe.history],
+                "leaves": safe.witness and safe.witness.states.tolist(),
+            },
+            "terminal_set": terminal
+            and {
+                "steps": terminal.steps,
+                "criterion": terminal.criterion,
+                "reason": terminal.reason,
+                "centre": terminal.centre.tolist(),
+                "alpha": terminal.alpha if np.isfinite(terminal.alpha) else None,
+                "set": terminal.set.to_dict(),
+                "history": [R.to_dict() for R in terminal.history],
+            },
+        }
+
+
+def look(subject: Subject, settings: Settings | None = None) -> Look:
+    """The sets and trajectories for one choice of settings.
+
+    Parameters
+    ----------
+    subject : Subject
+    settings : dict or None
+        Control name -> value, as `Subject.settle` takes them; None stands for all defaults.
+
+    Returns
+    -------
+    Look
+
+    Raises
+    ------
+    TypeError
+        If `subject` is no Subject, or `settings` no dict.
+    ValueError
+        As `Subject.settle`.
+
+    Examples
+    --------
+    >>> from mireach.lab import subject
+    >>> look(subject("pwa"), {"amount": 0.1}).safe.verdict
+    'proven'
+    """
+    require_kind(subject, Subject, "subject")
+    settings = subject.settle({} if settings is None else settings)
+    loop = subject.loop(settings)
+    safe, seconds = _safe(loop, settings["safe_directions"])
+    terminal, remark = None, "there is no F_max to start from"
+    if safe.set:
+        rule = (settings["directions"], epsilon_of(settings), settings["centre"])
+        terminal, remark, more = _terminal(subject.base(settings), loop, settings["safe_directions"], *rule)
+        seconds += more
+    steps = min(terminal.steps + SETTLING, LONGEST) if terminal else LONGEST
+    start = np.array([settings["x1"], settings["x2"]])
+    nominal, disturbed = _trajectories(loop, start, steps, settings["seed"])
+    return Look(
+        settings=settings,
+        loop=loop,
+        safe=safe,
+        terminal=terminal,
+        remark=remark,
+        nominal=nominal,
+        disturbed=disturbed,
+        plant=None if subject.plant is None else _plant_path(subject.plant, loop.network, start, steps),
+        seconds=seconds,
+    )
+
+
+def safe_set_at(subject: Subject, settings: Settings, amount: float) -> Polytope | None:
+    """F_max if the disturbance had this amount; None if no safe set is found.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `Subject.settle`.
+
+    See Also
+    --------
+    next_amount
+
+    Examples
+    --------
+    >>> from mireach.lab import subject
+    >>> safe_set_at(subject("pwa"), {}, 0.1).is_empty
+    False
+    >>> safe_set_at(subject("pwa"), {}, 2.0) is None
+    True
+    """
+    settings = subject.settle({**settings, "amount": amount})
+    return _safe(subject.loop(settings), settings["safe_directions"])[0].set
+
+
+@lru_cache(maxsize=64)
+def maximal_set(loop: ClosedLoop) -> MaximalSafeSet:
+    """The maximal RPI set of a loop in floating point, without its proof.
+
+    See Also
+    --------
+    mireach.maximal_safe_set, maximal_scene
+    """
+    return maximal_safe_set(loop, prove=False)
+
+
+@lru_cache(maxsize=256)
+def _safe(loop: ClosedLoop, count: int) -> tuple[SafeSet, float]:
+    """The safe set, and the seconds that it took."""
+    begin = perf_counter()
+    return safe_set(loop, directions(count), max_iterations=MAX_ITERATIONS), perf_counter() - begin
+
+
+@lru_cache(maxsize=256)
+def _terminal(
+    base: ClosedLoop, loop: ClosedLoop, safe_count: int, count: int, epsilon: float, centre: str
+) -> tuple[TerminalSet | None, str, float]:
+    """The terminal set, or None and why; and the seconds that it took."""
+    safe, begin = _safe(loop, safe_count)[0], perf_counter()
+    point, remark = (centre, "") if centre == "origin" else _equilibrium(base)
+    terminal = None if remark else terminal_set(loop, safe, directions(count), epsilon, point, max_steps=MAX_STEPS)
+    return terminal, remark, perf_counter() - begin
+
+
+@lru_cache(maxsize=256)
+def _equilibrium(loop: ClosedLoop) -> tuple[Array | None, str]:
+    """The equilibrium, or None and why."""
+    try:
+        return loop.equilibrium(), ""
+    except ValueError:
+        return None, "this loop has no equilibrium that could be found; scale about the origin"
+
+
+def _plant_path(plant: NonlinearSystem, network: MaxoutNetwork, start: Array, steps: int) -> Array:
+    """The plant's trajectory up to its first state outside X: (k + 1, 2)."""
+    path = [start]
+    while len(path) <= steps and plant.state_set.contains(path[-1]):
+        path.append(plant.step(network, path[-1]))
+    return np.array(path)
+
+
+def _trajectories(loop: ClosedLoop, start: Array, steps: int, seed: int) -> tuple[Array, Array]:
+    """The nominal trajectory (steps + 1, 2) and disturbed ones (N, steps + 1, 2), which follow D as it grows."""
+    rng, D = np.random.default_rng(seed), loop.system.modes[0].disturbance
+    starts = np.tile(start, (TRAJECTORIES + 1, 1))
+    if any(mode.disturbance is not D for mode in loop.system.modes):
+        return loop.simulate(start, steps), loop.simulate(starts[1:], steps, rng)
+    draws = D.sample(rng, TRAJECTORIES * LONGEST).reshape(TRAJECTORIES, LONGEST, 2)
+    paths = loop.simulate(starts, steps, np.concatenate([np.zeros((1, steps, 2)), draws[:, :steps]]))
+    return paths[0], paths[1:]
