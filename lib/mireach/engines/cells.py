@@ -17,7 +17,7 @@ from ..sets.kernels import affine_pieces, highest, parts, sharp_pairs
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope, box_directions
 from ..solvers.linear_program import LinearProgram
-from .base import Engine, Lazily, Support, checked_query, empty_support, replay
+from .base import Engine, LazySequence, Support, checked_query, empty_support, replay
 
 TOUCH = 1e-11  # closed sets that come this close touch (relative to the size of X)
 ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this (in the units of the loop) ...
@@ -292,7 +292,7 @@ class Cells(Engine):
             end[better] = number
         if not np.isfinite(value).all():
             return empty_support(len(V))
-        witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
+        witness = LazySequence(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
         found = value, np.ceil(top / rows.unit + 0.05) * rows.unit, witness
         return CellSupport(*found, F, every.cells, left) if steps == 1 else Support(*found)
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import above, binary, dot, fractions, maximize, nearest
 from ..sets.polytope import Polytope
-from .base import EXACT, Engine, Escape, Lazily, Support, checked_query, empty_support, replay
+from .base import EXACT, Engine, Escape, LazySequence, Support, checked_query, empty_support, replay
 from .steps import Step, with_bias
 
 AROUND = 2.0**-40  # boxes that sort out what cannot meet are this much larger (relative), for they are floats
@@ -76,7 +76,7 @@ class Exact(Engine):
             x, d = ([nearest(entry) for entry in part] for part in (best[k].state, best[k].disturbance))
             return replay(loop, np.array(x), [best[k].mode], [np.array(d)])
 
-        return Support(value, bound, Lazily(len(V), witness), rests_on=EXACT)
+        return Support(value, bound, LazySequence(len(V), witness), rests_on=EXACT)
 
 
 def farthest_steps(loop, F, V):
