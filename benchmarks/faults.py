@@ -123,9 +123,9 @@ FAULTS = (
     Fault(
         "exact",
         "engines/exact.py",
-        "farthest_steps skips the first corner of D",
-        "farthest = [max(corners, key=lambda d: dot(v, d)) for corners in spread]",
-        "farthest = [max(corners[-3:], key=lambda d: dot(v, d)) for corners in spread]",
+        "support_steps skips the first corner of D",
+        "pushed = [max(corners, key=lambda d: dot(v, d)) for corners in spread]",
+        "pushed = [max(corners[-3:], key=lambda d: dot(v, d)) for corners in spread]",
     ),
     Fault(
         "exact",
@@ -152,8 +152,8 @@ FAULTS = (
         "steps",
         "engines/steps.py",
         "the disturbance is the corner of D on the other side",
-        "pushed = maximize(*D.exact, direction)",
-        "pushed = maximize(*D.exact, binary(-np.asarray(v)))",
+        "pushed = maximize(of_d, limits, direction)",
+        "pushed = maximize(of_d, limits, binary(-np.asarray(v)))",
     ),
     Fault(
         "steps",
@@ -342,15 +342,15 @@ FAULTS = (
         "milp",
         "engines/milp/engine.py",
         "the bounds of boxes that are skipped are forgotten",
-        "answer.bound = max(answer.bound, upper[index])\n                break\n            if perf_counter()",
-        "break\n            if perf_counter()",
+        "answer.bound = max(answer.bound, upper[index])\n                break\n            if self.problem.is_over",
+        "break\n            if self.problem.is_over",
     ),
     Fault(
         "milp",
         "engines/milp/engine.py",
         "the bounds of boxes that simulation settles are forgotten",
-        "settled = np.maximum(settled, np.where(still, -np.inf, upper).max(axis=0, initial=-np.inf))",
-        "settled = np.maximum(settled, -np.inf)",
+        "np.maximum(self.settled, np.where(still, -np.inf, upper).max(axis=0, initial=-np.inf))",
+        "np.maximum(self.settled, -np.inf)",
     ),
     # -- the plant, the checker, sets in the plane
     Fault(

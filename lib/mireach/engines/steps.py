@@ -230,8 +230,8 @@ def farthest_step(loop: ClosedLoop, F: Polytope, v: Array, x: Array, mode: int) 
     best = maximize(H, h, objective, np.argsort(slack, kind="stable")[: len(x)].tolist())
     if best.point is None:
         return None
-    D = loop.system.modes[mode].disturbance
-    pushed = maximize(*D.exact, direction)
+    of_d, limits = loop.system.modes[mode].disturbance.exact
+    pushed = maximize(of_d, limits, direction)
     return Step(best.value + constant + pushed.value, best.point, mode, pushed.point, (H, h))
 
 

@@ -343,7 +343,7 @@ def _split(
     while len(search.boxes):
         search.advance()
     boxes, upper = _joined(search.left)
-    keep: BoolArray = (upper > problem.enough(simulation.values, cutoff)).any(axis=1)
+    keep = np.any(upper > problem.enough(simulation.values, cutoff), axis=1)
     settled = np.maximum(search.settled, upper[~keep].max(axis=0, initial=-np.inf))
     leaves = _Leaves(problem, boxes.take(keep), upper[keep], search.most_models)
 
@@ -410,7 +410,7 @@ class _Search:
         self.simulation.look_at(boxes.middle)
         still = upper > problem.enough(self.simulation.values, self.cutoff)
         self.settled = np.maximum(self.settled, np.where(still, -np.inf, upper).max(axis=0, initial=-np.inf))
-        keep: BoolArray = still.any(axis=1)
+        keep = np.any(still, axis=1)
         below = ~keep & np.isfinite(upper).any(axis=1)
         self.done.append((boxes.take(below), upper[below]))
         wide = boxes.half_width > NARROW * (1 + boxes.size)
