@@ -439,7 +439,7 @@ def test_bounds_of_boxes_that_are_skipped_are_kept(monkeypatch, seed, skipped):
     X = loop.system.state_set
     known = Milp().support(loop, X, V)
     monkeypatch.setattr(milp._Leaves, "solve", lambda *asked: -np.inf)
-    ask = milp._Ask(loop, X, V, 1, "lp", 0.0, np.inf, np.full(len(V), np.inf))
+    ask = milp._Problem(loop, X, V, 1, "lp", 0.0, np.inf, np.full(len(V), np.inf))
     leaves = milp._Leaves(ask, known.boxes, known.upper, 10**9)
     for row, upper in enumerate(np.sort(known.upper, axis=0)[::-1].T):
         answer = milp._Answer(V[row])

@@ -128,7 +128,7 @@ def test_every_decision_is_that_of_rational_elimination(make, n):
         assert P.is_bounded and P.is_empty == (right[0] is None)
         if P.is_empty:
             assert (support == -np.inf).all() and (bound == -np.inf).all() and P.point is None
-            assert len(P.vertices()) == 0 and radius <= 0 and P.farthest(V[0]) is None
+            assert len(P.vertices()) == 0 and radius <= 0 and P.support_vector(V[0]) is None
             continue
         assert radius >= 0 and len(P.vertices()) and bound[1] <= h[0]
         x = [fraction(entry) for entry in P.point]
@@ -191,7 +191,7 @@ def test_unbounded_sets_have_bounds_where_they_are_bounded():
     strip = Polytope([[827.0, 485, -851], [-827, -485, 851]], [3.0, -3.0])
     V = np.array([[827.0, 485, -851], [-1654, -970, 1702], [1, 0, 0]])
     assert strip.bound(V).tolist() == strip.support(V).tolist() == [3, -6, np.inf]
-    assert not strip.is_bounded and not strip.is_empty and strip.farthest(V[2]) is None
+    assert not strip.is_bounded and not strip.is_empty and strip.support_vector(V[2]) is None
     assert strip.is_subset(Polytope(V[:1], [3.0])) and not strip.is_subset(Polytope(V[2:], [1e300]), tol=1)
 
 

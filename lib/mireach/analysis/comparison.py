@@ -91,7 +91,7 @@ class Comparison:
             if step is not None and step.value > limit:
                 return step
         if self.loop.system.state_size == 2 and self.found.value[row] > -np.inf:
-            found = exact.farthest_steps(self.loop, self.F, v[None])
+            found = exact.support_steps(self.loop, self.F, v[None])
             if found is not None and found[0].value > limit:
                 return found[0]
         return None

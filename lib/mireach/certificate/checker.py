@@ -1,6 +1,6 @@
-"""An independent checker of certificates: whole numbers, the standard library, no code shared with this package.
+"""An independent checker of certificates: integer arithmetic, standard library only, no code shared with this package.
 
-    python3 run.py verify FILE        or, with nothing installed,        python3 lib/mireach/checker.py FILE
+    python3 run.py verify FILE        or, with nothing installed,        python3 lib/mireach/certificate/checker.py FILE
 
 A certificate (format mireach-certificate/1) is one JSON file:
 
@@ -8,7 +8,7 @@ A certificate (format mireach-certificate/1) is one JSON file:
     network     Phi, as in network.json
     template    C, one row per direction
     sets        offsets h of F_max = R_0, R_1, ..., R_k, the terminal set; each of them is {x : C x <= h}
-    claims      what is claimed, see `CLAIMS`, each with a "verdict"
+    claims      the claims, see `CLAIMS`, each with a "verdict"
     plant       f of x+ = f(x, u), where the system approximates a plant: for every component of f a list of
                 {"coefficient", "powers"}, the powers in the order x, u
     bounds      where the state has not two entries: {"solver", "offsets"}, bounds on R_1 of each set along C
@@ -39,12 +39,15 @@ import re
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
 from math import gcd, lcm, prod
 from operator import mul
+from pathlib import Path
+from typing import Any
 
 FORMAT, NETWORK = "mireach-certificate/1", "mireach-network/1"
 CLAIMS = {
@@ -52,7 +55,7 @@ CLAIMS = {
     "safe_set": "F_max lies in X, every state of it has a successor, and it is RPI",
     "sequence": "every R_(k+1) contains the image of R_k",
     "terminal_set": "R_k is RPI and reached from all of F_max within `steps` = k steps",
-    "criterion": "eq. TerminationFmin about `centre` with `epsilon`: `holds` or not",
+    "criterion": "eq. (25), TerminationFmin, about `centre` with `epsilon`: `holds` or not",
     "theorem_1": "the largest alpha >= 0 with alpha R_k in R_(k-1), about `centre`, is `alpha`, null if the centre is "
     "not inside R_k or not in R_(k-1); R_k is `stable` if alpha > 1",
     "error_set": "f - f_PWA lies in D for every x in X and u in U",
@@ -78,6 +81,18 @@ NUMERAL = re.compile(r"-?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-3]?[0-9]{1,2})?
 MARKS = re.compile(r'\\.|["\[\]{}]', re.DOTALL)  # an escape, a quotation mark, the ends of lists and objects
 FRACTION = re.compile(rf"-?[0-9]{{1,{MOST_DIGITS}}}(/[1-9][0-9]{{0,{MOST_DIGITS - 1}}})?")
 
+Row = tuple[Fraction, ...]
+HalfSpace = tuple[Row, Fraction]  # (a, b), the half-space a x <= b
+Rows = Sequence[HalfSpace]
+Corner = tuple[int, int, int]  # (X, Y, W), the point (X/W, Y/W)
+Polygon = list[Corner]
+Form = tuple[int, int, int]  # (a, b, c), the function (a X + b Y + c W) / (unit W)
+Polynomial = dict[tuple[int, ...], Fraction]  # {powers: coefficient}
+Box = list[tuple[Fraction, Fraction]]  # (low, high) of every coordinate
+Claim = dict[str, Any]
+Witness = dict[str, Any]
+Finding = tuple[str, str, Witness | None]  # verdict, reason, witness
+
 
 class Malformed(ValueError):
     """The file is no certificate."""
@@ -90,16 +105,16 @@ class Stopped(Exception):
 class Budget:
     """What one check may use: call it where time passes, `hold` where numbers are kept. Either may raise Stopped."""
 
-    def __init__(self, seconds):
+    def __init__(self, seconds: float) -> None:
         if not seconds >= 0:  # nan as well
             raise ValueError(f"seconds must be a number from 0 on; got {seconds!r}")
         self.seconds, self.end = seconds, time.monotonic() + seconds
 
-    def __call__(self):
+    def __call__(self) -> None:
         if time.monotonic() > self.end:
             raise Stopped(f"stopped after {self.seconds:g} s")
 
-    def hold(self, size):
+    def hold(self, size: int) -> None:
         if size > MOST_MEMORY:
             raise Stopped(f"stopped, for it needs more than {MOST_MEMORY // 10**6} MB")
 
@@ -110,7 +125,7 @@ class Numeral(str):
 
 @dataclass(frozen=True)
 class Result:
-    """What was found about one claim.
+    """The result about one claim.
 
     `verdict` is "proven", "refuted" or "not checked"; `witness`, where there is one, a dict of fractions: "state",
     and for a step "mode", "disturbance", "after".
@@ -119,32 +134,32 @@ class Result:
     claim: str
     verdict: str
     reason: str
-    witness: dict | None = None
+    witness: Witness | None = None
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was found about a certificate.
+    """The results about a certificate.
 
     `digest` is "as written", "missing", "changed", "ignored", or "not checked" if the time was up; `network` says
     whether the certificate speaks of the network that was asked about (None: nothing was asked).
     """
 
-    results: tuple
+    results: tuple[Result, ...]
     digest: str
     network: bool | None
 
     @property
-    def proven(self):
+    def proven(self) -> bool:
         """Whether every claim is proven, of the network that was asked about, and the digest is as written."""
         every = all(result.verdict == "proven" for result in self.results)
         return every and self.digest in ("as written", "ignored") and self.network is not False
 
-    def __getitem__(self, claim):
+    def __getitem__(self, claim: str) -> Result:
         """The Result about a claim of `CLAIMS`."""
         return {one.claim: one for one in self.results}[claim]
 
-    def __str__(self):
+    def __str__(self) -> str:
         lines = [f"{one.claim:<13} {one.verdict:<12} {one.reason}" for one in self.results]
         lines.append(f"{'digest':<13} {self.digest}")
         if self.network is not None:
@@ -154,7 +169,9 @@ class Report:
         return "\n".join(lines)
 
 
-def verify(path, network=None, ignore_digest=False, seconds=SECONDS):
+def verify(
+    path: str | Path, network: str | Path | None = None, ignore_digest: bool = False, seconds: float = SECONDS
+) -> Report:
     """Derive every claim of a certificate again.
 
     Parameters
@@ -182,12 +199,14 @@ def verify(path, network=None, ignore_digest=False, seconds=SECONDS):
     return _check(read(path), None if network is None else Network.of(read(network)), ignore_digest, clock)
 
 
-def check(content, network=None, ignore_digest=True, seconds=SECONDS):
+def check(
+    content: Any, network: "Network | None" = None, ignore_digest: bool = True, seconds: float = SECONDS
+) -> Report:
     """`verify` for content that `parse` has read, and a Network."""
     return _check(content, network, ignore_digest, Budget(seconds))
 
 
-def _check(content, network, ignore_digest, clock):
+def _check(content: Any, network: "Network | None", ignore_digest: bool, clock: Budget) -> Report:
     certificate = Certificate.of(content)
     asked = None if network is None else network == certificate.network
     try:
@@ -204,7 +223,7 @@ def _check(content, network, ignore_digest, clock):
 # -- reading ------------------------------------------------------------------------------------------
 
 
-def read(path):
+def read(path: str | Path) -> Any:
     """The content of a JSON file as `parse` has it; Malformed if it is none, or too large."""
     with open(path, "rb") as file:
         text = file.read(MOST_BYTES + 1)
@@ -213,7 +232,7 @@ def read(path):
     return parse(text)
 
 
-def parse(text):
+def parse(text: str | bytes) -> Any:
     """JSON with every number as a Numeral; Malformed if it is not plain JSON (UTF-8) of a reasonable size.
 
     Levels and entries are counted in the text, before anything is built from it.
@@ -230,7 +249,7 @@ def parse(text):
         raise Malformed(f"this is not JSON, or only a part of it: {error}") from error
 
 
-def require_moderate(text):
+def require_moderate(text: str) -> None:
     """Malformed if lists and objects stand too deep in one another, or if there are too many entries."""
     if text.count(",") > MOST_COMMAS:
         raise Malformed(f"the file has more than {MOST_COMMAS} commas, and so too many entries")
@@ -244,14 +263,14 @@ def require_moderate(text):
                 raise Malformed(f"lists and objects stand in one another more than {MOST_LEVELS} levels deep")
 
 
-def numeral(text):
+def numeral(text: str) -> Numeral:
     """A number as it is written, if it is short and a finite double."""
     if not NUMERAL.fullmatch(text) or abs(float(text)) == float("inf"):
         raise Malformed(f"{text[:50]} is no number of reasonable size, which a finite double is")
     return Numeral(text)
 
 
-def without_duplicates(pairs):
+def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         ((name, _),) = Counter(name for name, _ in pairs).most_common(1)
@@ -259,7 +278,7 @@ def without_duplicates(pairs):
     return found
 
 
-def digest(content, clock=lambda: None):
+def digest(content: dict[str, Any], clock: Callable[[], None] = lambda: None) -> str:
     """SHA-256 of everything but the digest, independent of the order of keys and of how a decimal is written."""
     found = hashlib.sha256()
     for text in canonical({key: content[key] for key in content if key != "digest"}, clock):
@@ -267,7 +286,7 @@ def digest(content, clock=lambda: None):
     return found.hexdigest()
 
 
-def canonical(value, clock):
+def canonical(value: Any, clock: Callable[[], None]) -> Iterator[str]:
     """One text for one content, in parts: keys sorted, the decimals that are written as fractions in lowest terms."""
     clock()
     if isinstance(value, dict):
@@ -284,20 +303,20 @@ def canonical(value, clock):
         yield str(Fraction(value)) if isinstance(value, Numeral) else json.dumps(value)
 
 
-def compare_digest(content, clock):
+def compare_digest(content: dict[str, Any], clock: Budget) -> str:
     if "digest" not in content:
         return "missing"
     return "as written" if content["digest"] == digest(content, clock) else "changed"
 
 
-def number(value, where):
+def number(value: Any, where: str) -> Fraction:
     """A number as the double nearest to what is written, exactly; what is too small for a double is 0."""
     if not isinstance(value, Numeral):
         raise Malformed(f"{where}: {str(value)[:50]!r} is no number")
     return Fraction(float(value))
 
 
-def natural(value, where):
+def natural(value: Any, where: str) -> int:
     """A whole number from 0 on."""
     found = number(value, where)
     if found < 0 or found.denominator > 1:
@@ -305,33 +324,33 @@ def natural(value, where):
     return int(found)
 
 
-def coefficient_of(value, where):
+def coefficient_of(value: Any, where: str) -> Fraction:
     """A number, or text of the form p/q where no double is that fraction."""
     return number(value, where) if isinstance(value, Numeral) else fraction(value, where)
 
 
-def fraction(value, where):
+def fraction(value: Any, where: str) -> Fraction:
     """Text of the form p/q."""
     if type(value) is not str or not FRACTION.fullmatch(value):  # a Numeral is none
         raise Malformed(f"{where}: {str(value)[:50]!r} is no fraction")
     return Fraction(value)
 
 
-def vector(value, where, size, kind=number):
+def vector(value: Any, where: str, size: int, kind: Callable[[Any, str], Any] = number) -> tuple[Any, ...]:
     """A list of `size` numbers, each read by `kind`."""
     if not isinstance(value, list) or len(value) != size:
         raise Malformed(f"{where} should be a list of {size}")
     return tuple(kind(entry, where) for entry in value)
 
 
-def matrix(value, where, columns, rows=None):
+def matrix(value: Any, where: str, columns: int, rows: int | None = None) -> tuple[Row, ...]:
     """A list of lists of `columns` numbers; any positive number of them unless `rows` is given."""
     if not isinstance(value, list) or not 0 < len(value) <= MOST_ENTRIES or rows not in (None, len(value)):
         raise Malformed(f"{where} should be a list of {rows or f'1 to {MOST_ENTRIES}'} rows")
     return tuple(vector(row, where, columns) for row in value)
 
 
-def fields(value, where, names, optional=()):
+def fields(value: Any, where: str, names: Sequence[str], optional: Sequence[str] = ()) -> list[Any]:
     """The values of these keys of a dict that has them, and no others but `optional` ones."""
     if not isinstance(value, dict):
         raise Malformed(f"{where} should have the keys {', '.join(names)}")
@@ -347,7 +366,7 @@ def fields(value, where, names, optional=()):
 # -- content ------------------------------------------------------------------------------------------
 
 
-def rows_of(value, dimension, where):
+def rows_of(value: Any, dimension: int, where: str) -> Rows:
     """The rows (a, b) of a set {x : a x <= b}."""
     H, h = fields(value, where, ("H", "h"))
     H = matrix(H, where, dimension)
@@ -358,14 +377,14 @@ def rows_of(value, dimension, where):
 class Mode:
     """x+ = A x + B u + p + d wherever (x, u) lies in the region; region and disturbance are rows (a, b)."""
 
-    A: tuple
-    B: tuple
-    p: tuple
-    region: tuple
-    disturbance: tuple
+    A: tuple[Row, ...]
+    B: tuple[Row, ...]
+    p: Row
+    region: Rows
+    disturbance: Rows
 
     @staticmethod
-    def of(value, n, m, where):
+    def of(value: Any, n: int, m: int, where: str) -> "Mode":
         A, B, p, region, disturbance = fields(value, where, ("A", "B", "p", "region", "disturbance"))
         return Mode(
             matrix(A, f"A of {where}", n, n),
@@ -380,11 +399,11 @@ class Mode:
 class Network:
     """Hidden layers (rows, pool) and rows of the output; a row is (w_1, ..., w_q, b)."""
 
-    hidden: tuple
-    output: tuple
+    hidden: tuple[tuple[tuple[Row, ...], int], ...]
+    output: tuple[Row, ...]
 
     @staticmethod
-    def of(value):
+    def of(value: Any) -> "Network":
         name, layers, output = fields(value, "the network", ("format", "hidden", "output"))
         if name != NETWORK or not isinstance(layers, list) or len(layers) > MOST_LAYERS:
             raise Malformed(f"the network should have the format {NETWORK!r} and at most {MOST_LAYERS} hidden layers")
@@ -402,17 +421,17 @@ class Network:
         )
 
     @staticmethod
-    def _rows(weight, bias, columns, where):
+    def _rows(weight: Any, bias: Any, columns: int | None, where: str) -> tuple[Row, ...]:
         if columns is None:  # the first layer says how many inputs there are
             columns = len(weight[0]) if isinstance(weight, list) and weight and isinstance(weight[0], list) else 0
         weight = matrix(weight, where, columns)
         return tuple((*row, b) for row, b in zip(weight, vector(bias, where, len(weight))))
 
     @property
-    def inputs(self):
+    def inputs(self) -> int:
         return len((self.hidden[0][0] if self.hidden else self.output)[0]) - 1
 
-    def __call__(self, x):
+    def __call__(self, x: Sequence[Fraction]) -> Row:
         """Phi(x) of fractions, from its definition."""
         for rows, pool in self.hidden:
             z = affine(rows, x)
@@ -424,17 +443,17 @@ class Network:
 class Certificate:
     """A certificate, read: numbers are fractions, sets are rows (a, b)."""
 
-    modes: tuple
-    state_set: tuple
-    input_set: tuple
+    modes: tuple[Mode, ...]
+    state_set: Rows
+    input_set: Rows
     network: Network
-    sets: tuple
-    claims: dict
-    plant: tuple | None
-    bounds: tuple | None
+    sets: tuple[Rows, ...]
+    claims: dict[str, Claim]
+    plant: tuple[Polynomial, ...] | None
+    bounds: tuple[str, tuple[Row, ...]] | None
 
     @staticmethod
-    def of(content):
+    def of(content: Any) -> "Certificate":
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise Malformed(f"the file has not the format {FORMAT!r}")
         keys = ("format", "system", "network", "template", "sets", "claims")
@@ -463,7 +482,7 @@ class Certificate:
         )
 
 
-def read_claim(name, value, n):
+def read_claim(name: str, value: Any, n: int) -> dict[str, Any]:
     """What a claim says, numbers as fractions."""
     where = f"the claim {name!r}"
     kinds = {
@@ -490,7 +509,7 @@ def read_claim(name, value, n):
     return {"verdict": verdict, "witness": witness, **found}
 
 
-def read_plant(value, n, size):
+def read_plant(value: Any, n: int, size: int) -> tuple[Polynomial, ...]:
     """The components of f as {powers: coefficient}."""
     (f,) = fields(value, "the plant", ("f",))
     if not isinstance(f, list) or len(f) != n or not all(isinstance(terms, list) for terms in f):
@@ -511,8 +530,8 @@ def read_plant(value, n, size):
     return tuple(components)
 
 
-def read_bounds(value, n, count, rows):
-    """A solver's name and its bounds, one row a set; None in the plane, where nothing rests on them."""
+def read_bounds(value: Any, n: int, count: int, rows: int) -> tuple[str, tuple[Row, ...]] | None:
+    """A solver's name and its bounds, one row per set; None in the plane, where nothing rests on them."""
     if (n != 2) != (value is not None):
         raise Malformed("bounds of a solver belong to systems whose state has not two entries, and only to them")
     if value is None:
@@ -526,44 +545,44 @@ def read_bounds(value, n, count, rows):
 # -- the plane ----------------------------------------------------------------------------------------
 
 
-def dot(a, x):
+def dot(a: Iterable[Any], x: Iterable[Any]) -> Any:
     """a x of rows of fractions."""
     return sum(map(mul, a, x))
 
 
-def whole(row):
+def whole(row: Iterable[Fraction]) -> tuple[tuple[int, ...], int]:
     """A row of fractions as whole numbers, and the number by which it was multiplied for that."""
     unit = lcm(*(entry.denominator for entry in row))
     return tuple(entry.numerator * (unit // entry.denominator) for entry in row), unit
 
 
-def affine(rows, x):
-    """w x + b for each row (w, b) of fractions, reduced once a row."""
+def affine(rows: Iterable[Row], x: Sequence[Fraction]) -> list[Fraction]:
+    """w x + b for each row (w, b) of fractions, reduced once per row."""
     x, unit = whole((*x, 1))
     return [Fraction(dot(row, x), own * unit) for row, own in map(whole, rows)]
 
 
-def half_plane(a, b):
+def half_plane(a: Row, b: Fraction) -> tuple[int, ...]:
     """The line of {x : a x <= b}."""
     return whole((*a, -b))[0]
 
 
-def bytes_of(*lists):
+def bytes_of(*lists: Iterable[Sequence[int]]) -> int:
     """Roughly the memory that corners or forms take."""
     return sum(120 + sum(32 + entry.bit_length() // 8 for entry in row) for rows in lists for row in rows)
 
 
-def point(corner):
+def point(corner: Corner) -> Row:
     """A corner as a pair of fractions."""
     return Fraction(corner[0], corner[2]), Fraction(corner[1], corner[2])
 
 
-def at(line, corner):
+def at(line: Sequence[int], corner: Corner) -> int:
     """a X + b Y + c W: at most 0 in the half-plane of the line."""
     return line[0] * corner[0] + line[1] * corner[1] + line[2] * corner[2]
 
 
-def crossing(x, y, before, after):
+def crossing(x: Corner, y: Corner, before: int, after: int) -> Corner:
     """The corner between x and y where a line vanishes whose values `before` at x and `after` at y differ in sign.
 
     |after| x + |before| y, for the line has the value |after| before + |before| after = 0 there; W stays positive.
@@ -574,7 +593,7 @@ def crossing(x, y, before, after):
     return X // common, Y // common, W // common
 
 
-def clip(corners, line):
+def clip(corners: Polygon, line: Sequence[int]) -> Polygon:
     """The part of a convex polygon, segment or point in the half-plane of a line; [] if there is none.
 
     Corners on the line are kept, so that a line that touches leaves an edge or a corner. A line of zeros (0, 0, c)
@@ -593,7 +612,7 @@ def clip(corners, line):
     return list(dict.fromkeys(kept))  # a segment meets the line on its way there and on its way back
 
 
-def clip_all(corners, lines, clock):
+def clip_all(corners: Polygon, lines: Iterable[Sequence[int]], clock: Budget) -> Polygon:
     """The part of a polygon in all half-planes."""
     for line in lines:
         clock()
@@ -603,7 +622,7 @@ def clip_all(corners, lines, clock):
     return corners
 
 
-def polygon(rows, where, clock):
+def polygon(rows: Rows, where: str, clock: Budget) -> Polygon:
     """The corners of {x : a x <= b for every row (a, b)}, [] if it is empty; Malformed if it is not bounded.
 
     For whole a and b no coordinate of a corner exceeds 2 max|a| max|b|, by Cramer's rule: the determinant below the
@@ -619,17 +638,17 @@ def polygon(rows, where, clock):
     return corners
 
 
-def middle(corners):
+def middle(corners: Polygon) -> Row:
     """A point inside a polygon."""
     return tuple(sum(entry) / len(corners) for entry in zip(*map(point, corners)))
 
 
-def dimension(corners):
+def dimension(corners: Polygon) -> int:
     """0 for a point, 1 for a segment, 2 for more, -1 for nothing."""
     return min(len(corners), 3) - 1
 
 
-def uncovered(corners, regions, clock):
+def uncovered(corners: Polygon, regions: Iterable[Sequence[Sequence[int]]], clock: Budget) -> Polygon:
     """A part of a polygon that no region (a list of lines) covers, or [].
 
     What closed regions leave of a polygon is open relative to it: it is empty, or of the dimension of the polygon.
@@ -655,13 +674,13 @@ def uncovered(corners, regions, clock):
 # -- the loop -----------------------------------------------------------------------------------------
 
 
-def over_one_unit(rows):
+def over_one_unit(rows: Iterable[Row]) -> tuple[list[tuple[int, ...]], int]:
     """Rows of fractions as rows of whole numbers over one unit: rows, unit."""
     unit = lcm(*(entry.denominator for row in rows for entry in row))
     return [tuple(entry.numerator * (unit // entry.denominator) for entry in row) for row in rows], unit
 
 
-def combine(row, forms, unit):
+def combine(row: Sequence[int], forms: Iterable[Form], unit: int) -> Form:
     """The form w_1 f_1 + ... + w_q f_q + b of whole numbers (w, b) and forms over a unit."""
     a, b, c = 0, 0, row[-1] * unit
     for w, form in zip(row, forms):
@@ -670,7 +689,7 @@ def combine(row, forms, unit):
     return a, b, c
 
 
-def winners(corners, channels, clock):
+def winners(corners: Polygon, channels: Sequence[Form], clock: Budget) -> list[tuple[Polygon, Form]]:
     """Parts of a polygon that cover it, each with the largest of several forms on it.
 
     Parts of lower dimension than the polygon are left out: Phi is continuous, and their neighbours hold them.
@@ -699,7 +718,7 @@ def winners(corners, channels, clock):
     return found
 
 
-def affine_pieces(network, domain, clock):
+def affine_pieces(network: Network, domain: Polygon, clock: Budget) -> list[tuple[Polygon, list[Form], int]]:
     """Polygons that cover the domain, each with the forms of Phi on it and their unit: list of triples."""
     pieces = [(domain, [(1, 0, 0), (0, 1, 0)], 1)]
     for fractions, pool in network.hidden:
@@ -730,36 +749,38 @@ def affine_pieces(network, domain, clock):
 class Cell:
     """A polygon on which mode number `mode` acts (from 0), with the forms of A x + B Phi(x) + p and their unit."""
 
-    corners: list
+    corners: Polygon
     mode: int
-    after: list
+    after: list[Form]
     unit: int
 
 
 # -- the claims ---------------------------------------------------------------------------------------
 
 
-def proven(reason):
+def proven(reason: str) -> Finding:
     return "proven", reason, None
 
 
-def refuted(reason, witness=None):
+def refuted(reason: str, witness: Witness | None = None) -> Finding:
     return "refuted", reason, witness
 
 
-def unchecked(reason):
+def unchecked(reason: str) -> Finding:
     return "not checked", reason, None
 
 
 class Claims:
     """All claims of one certificate; the method with a claim's name decides it."""
 
-    def __init__(self, certificate, clock):
+    def __init__(self, certificate: Certificate, clock: Budget) -> None:
         self.certificate, self._clock = certificate, clock
-        self.sets, self.last, self.n = certificate.sets, len(certificate.sets) - 1, len(certificate.modes[0].A)
-        self.found, self.spread = {}, {}
+        self.sets, self.last = certificate.sets, len(certificate.sets) - 1
+        self.n = len(certificate.modes[0].A)
+        self.found: dict[str, Result] = {}
+        self.spread: dict[tuple[int, Row], Fraction] = {}
 
-    def results(self):
+    def results(self) -> tuple[Result, ...]:
         """One Result per claim, in the order of `CLAIMS`.
 
         A claim that the certificate does not make is not proven. A witness in the file counts for nothing: the Result
@@ -777,7 +798,7 @@ class Claims:
             self.found[key] = Result(key, verdict, reason, witness)
         return tuple(self.found.values())
 
-    def inputs(self, claim):
+    def inputs(self, claim: Claim) -> Finding:
         """No row a u - b of U is positive in a corner of a piece, where it is largest; if U is empty, one is."""
         if self.n != 2:
             return self._by_solver()
@@ -792,7 +813,7 @@ class Claims:
                         return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U by {by}", state(point(x)))
         return proven(f"{CLAIMS['inputs']}: {len(self._pieces)} pieces")
 
-    def safe_set(self, claim):
+    def safe_set(self, claim: Claim) -> Finding:
         """F_max is not empty, lies in X, is covered by cells, and holds their image.
 
         States without a successor are witnesses by themselves: those outside X, those with an input outside U, those
@@ -809,7 +830,7 @@ class Claims:
             return refuted(f"x = {show(gap)} lies in F_max and has no successor: {self._why_none(gap)}", state(gap))
         return self._leaves(0, 0) or proven(f"{CLAIMS['safe_set']}: {len(cells)} cells")
 
-    def sequence(self, claim):
+    def sequence(self, claim: Claim) -> Finding:
         """The image of R_k lies in R_(k+1), k = 0, 1, ...; that of an empty set does in any set.
 
         States of R_k without a successor have no image; where `safe_set` is proven there are none.
@@ -823,7 +844,7 @@ class Claims:
                 return found
         return proven(f"{CLAIMS['sequence']}: {self.last} steps")
 
-    def terminal_set(self, claim):
+    def terminal_set(self, claim: Claim) -> Finding:
         """With F_max RPI and the images contained, R_k is reached in step k; it is not empty, for F_max is not."""
         if claim["steps"] != self.last:
             return refuted(f"the sequence has {self.last} steps, not {claim['steps']}")
@@ -832,7 +853,7 @@ class Claims:
         found = self._missing("safe_set", "sequence") or self._beyond(self.last) or self._leaves(self.last, self.last)
         return found or proven(f"R_{self.last} is RPI and reached from all of F_max within {self.last} steps")
 
-    def criterion(self, claim):
+    def criterion(self, claim: Claim) -> Finding:
         """S = c + (R_k - c) / (1 + epsilon) lies in R_1-bar(S), the smallest set with the rows C around R_1(S).
 
         A row a x <= b of R_k is a x <= a c + (b - a c) / (1 + epsilon) = b - (b - a c) epsilon / (1 + epsilon) of S.
@@ -852,7 +873,7 @@ class Claims:
         says = f"eq. TerminationFmin about {show(c)} with epsilon = {about(epsilon)} {'holds' if holds else 'fails'}"
         return proven(says) if holds == claim["holds"] else refuted(says)
 
-    def theorem_1(self, claim):
+    def theorem_1(self, claim: Claim) -> Finding:
         """alpha = min over the rows (a, b) of R_(k-1) of (b - a c) / (h of R_k along a - a c).
 
         c + alpha (R_k - c) lies in R_(k-1) if a c + alpha (h of R_k along a - a c) <= b for every row, for alpha >= 0.
@@ -890,7 +911,7 @@ class Claims:
         missing = self._missing("inputs", "safe_set", "sequence", "terminal_set")
         return missing or proven(f"{says}: R_k is asymptotically stable with region of attraction F_max")
 
-    def error_set(self, claim):
+    def error_set(self, claim: Claim) -> Finding:
         """Each a (f - f_PWA) - b, (a, b) a row of D, is a polynomial nowhere positive in the region & X x U.
 
         0 is allowed, for D is closed. Where the region does not meet X x U there is nothing to show; where it does, an
@@ -915,7 +936,7 @@ class Claims:
                     return unchecked(f"the error of mode {number} needs more than {MOST_BOXES} boxes")
         return proven(f"{CLAIMS['error_set']}: {len(certificate.modes)} modes, {boxes} boxes")
 
-    def theorem_2(self, claim):
+    def theorem_2(self, claim: Claim) -> Finding:
         """R_k has the origin in its interior (h > 0), and everything that Theorem 2 asks of the loop is proven."""
         if "terminal_set" not in self.found:
             return unchecked("no terminal set is claimed")
@@ -926,14 +947,14 @@ class Claims:
 
     # -- what they need --
 
-    def _missing(self, *names):
+    def _missing(self, *names: str) -> Finding | None:
         """None if these claims are proven, else what is to be said of one that rests on them."""
         for claim in names:
             if self.found[claim].verdict != "proven":
                 return unchecked(f"rests on {claim}, which is {self.found[claim].verdict}")
         return None
 
-    def _by_solver(self, k=None, j=None):
+    def _by_solver(self, k: int | None = None, j: int = 0) -> Finding:
         """What a solver's bounds say, of R_1(R_k) in R_j if these are given; never a proof."""
         solver, offsets = self.certificate.bounds
         for bound, (_, b) in zip(offsets[k], self.sets[j]) if k is not None else ():
@@ -942,14 +963,14 @@ class Claims:
         return unchecked(f"bound by {solver}, not checked exactly")
 
     @cached_property
-    def _pieces(self):
+    def _pieces(self) -> list[tuple[Polygon, list[Form], int]]:
         X = polygon(self.certificate.state_set, "the state set", self._clock)
         if not X:
             raise Malformed("the state set is empty")
         return affine_pieces(self.certificate.network, X, self._clock)
 
     @cached_property
-    def _polygons(self):
+    def _polygons(self) -> list[Polygon]:
         """The corners of every set, [] where it is empty."""
         found, size = [], 0
         for k, rows in enumerate(self.sets):
@@ -959,7 +980,7 @@ class Claims:
         return found
 
     @cached_property
-    def _disturbances(self):
+    def _disturbances(self) -> list[list[Row]]:
         """The corners of D of every mode, as points; a D without points would make every claim true."""
         found = []
         for number, mode in enumerate(self.certificate.modes, start=1):
@@ -970,13 +991,15 @@ class Claims:
         return found
 
     @cached_property
-    def _cells_and_gap(self):
+    def _cells_and_gap(self) -> tuple[list[Cell], Row | None]:
         """The cells of the loop over F_max, and a state of F_max that lies in none of them, or None.
 
         A cell is the part of a piece that lies in a region, with an input in U, be it an edge or a point. `winners`
         leaves out pieces of lower dimension than X: their neighbours hold their points, with the same Phi(x).
         """
-        F, cells, gap, size = [half_plane(a, b) for a, b in self.sets[0]], [], None, 0
+        F = [half_plane(a, b) for a, b in self.sets[0]]
+        cells: list[Cell] = []
+        gap, size = None, 0
         modes = self.certificate.modes
         maps = [over_one_unit([(*A, *B, p) for A, B, p in zip(mode.A, mode.B, mode.p)]) for mode in modes]
         none = (0,) * self.n
@@ -999,14 +1022,14 @@ class Claims:
             gap = gap or (middle(bare) if bare else None)
         return cells, gap
 
-    def _why_none(self, x):
+    def _why_none(self, x: Row) -> str:
         """Why a state of X has no successor."""
         u = self.certificate.network(x)
         if all(dot(a, u) <= b for a, b in self.certificate.input_set):
             return "no region contains it with its input"
         return f"its input u = {show(u)} lies outside U"
 
-    def _beyond(self, k):
+    def _beyond(self, k: int) -> Finding | None:
         """None if R_k lies in F_max and in X, where the cells are; an empty R_k does."""
         for place, rows in (("F_max", self.sets[0]), ("X", self.certificate.state_set)):
             for a, b in rows:
@@ -1017,12 +1040,12 @@ class Claims:
                         return refuted(f"x = {show(point(x))} lies in {name(k)}, but not in {place}", state(point(x)))
         return None
 
-    def _support(self, corners, a):
+    def _support(self, corners: Polygon, a: Row) -> Fraction:
         """max a x over a polygon."""
         self._clock()
         return max(dot(a, x) for x in map(point, corners))
 
-    def _excess(self, a, b, cell):
+    def _excess(self, a: Row, b: Fraction, cell: Cell) -> Form:
         """The line that is positive where a (A x + B Phi(x) + p + d) > b for some d in D of the cell's mode.
 
         With h the support function of D and s > 0 the number that makes s a whole, it is unit q s (a x+ + h(a) - b),
@@ -1038,7 +1061,7 @@ class Claims:
         x, y, w = (rest.denominator * dot(row, entries) for entries in zip(*cell.after))
         return x, y, w + rest.numerator * cell.unit
 
-    def _leaves(self, k, j):
+    def _leaves(self, k: int, j: int) -> Finding | None:
         """None if the image of R_k lies in R_j, for R_k in F_max; else a step out. Nothing lies in an empty R_j."""
         lines = [half_plane(a, b) for a, b in self.sets[k]]
         for cell in self._cells_and_gap[0]:
@@ -1048,10 +1071,10 @@ class Claims:
                 excess = self._excess(a, b, cell)
                 if any(at(excess, x) > 0 for x in corners):
                     worst = max(corners, key=lambda x: Fraction(at(excess, x), x[2]))
-                    return self._step_out(k, j, a, b, cell.mode, point(worst))
+                    return self._step_out(k, j, (a, b), cell.mode, point(worst))
         return None
 
-    def _attains(self, S, a, level):
+    def _attains(self, S: Rows, a: Row, level: Fraction) -> bool:
         """Whether a x+ >= level for some x in {x : S} and some d; S lies in F_max."""
         lines = [half_plane(*row) for row in S]
         for cell in self._cells_and_gap[0]:
@@ -1062,8 +1085,9 @@ class Claims:
                     return True
         return False
 
-    def _step_out(self, k, j, a, b, number, x):
-        """A step from x in R_k that leaves R_j, x moved to few digits if it still does so."""
+    def _step_out(self, k: int, j: int, row: HalfSpace, number: int, x: Row) -> Finding:
+        """A step from x in R_k beyond a row (a, b) of R_j; x is rounded to few digits if the step still leaves R_j."""
+        a, b = row
         d = max(self._disturbances[number], key=lambda d: dot(a, d))
         for digits in range(1, SHORT + 1):
             self._clock()
@@ -1078,7 +1102,7 @@ class Claims:
         outside = f"outside {name(j)} by {about(dot(a, after) - b)}"
         return refuted(f"x = {show(x)} lies in {name(k)}; {leads}, {outside}", step)
 
-    def _replay(self, k, number, x, d):
+    def _replay(self, k: int, number: int, x: Row, d: Row) -> Row | None:
         """A x + B Phi(x) + p + d from the definition; None if x is not in R_k, or the mode does not act there."""
         mode, u = self.certificate.modes[number], self.certificate.network(x)
         z = (*x, *u)
@@ -1091,7 +1115,7 @@ class Claims:
 # -- the error of an approximation --------------------------------------------------------------------
 
 
-def bounding_box(rows):
+def bounding_box(rows: Rows) -> Box | None:
     """[(low, high)] by those rows (a, b) that limit one coordinate alone; None if a limit is missing."""
     low, high = [None] * len(rows[0][0]), [None] * len(rows[0][0])
     for a, b in rows:
@@ -1105,7 +1129,7 @@ def bounding_box(rows):
     return None if None in low or None in high else list(zip(low, high))
 
 
-def error_along(a, b, mode, f):
+def error_along(a: Row, b: Fraction, mode: Mode, f: Sequence[Polynomial]) -> Polynomial:
     """a (f(z) - A x - B u - p) - b, z = (x, u), as a polynomial {powers: coefficient}."""
     size = len(mode.A) + len(mode.B[0])
     none, ones = (0,) * size, [tuple(int(i == j) for j in range(size)) for i in range(size)]
@@ -1118,7 +1142,7 @@ def error_along(a, b, mode, f):
     return found
 
 
-def positive_somewhere(g, box, rows, clock):
+def positive_somewhere(g: Polynomial, box: Box, rows: Rows, clock: Budget) -> tuple[Row | None, int]:
     """A point of {z in box : rows} in which a polynomial is positive, or None; and how many boxes that took.
 
     Nothing is known if that is more than `MOST_BOXES`. Every box is moved and scaled to [-1, 1]^N, see `largest`.
@@ -1144,12 +1168,12 @@ def positive_somewhere(g, box, rows, clock):
     return None, used
 
 
-def least(a, box):
+def least(a: Row, box: Box) -> Fraction:
     """min a z over a box."""
     return sum(entry * (low if entry > 0 else high) for entry, (low, high) in zip(a, box))
 
 
-def value_at(g, z):
+def value_at(g: Polynomial, z: Row) -> Fraction:
     """g(z)."""
     total = Fraction(0)
     for powers, term in g.items():
@@ -1159,7 +1183,7 @@ def value_at(g, z):
     return total
 
 
-def centred(g, centre, radius, clock):
+def centred(g: Polynomial, centre: Sequence[Fraction], radius: Sequence[Fraction], clock: Budget) -> Polynomial:
     """g(centre + radius t) as a polynomial of t, one coordinate after the other by the binomial theorem."""
     for i, (c, r) in enumerate(zip(centre, radius)):
         moved = {}
@@ -1174,7 +1198,7 @@ def centred(g, centre, radius, clock):
     return g
 
 
-def largest(g, size):
+def largest(g: Polynomial, size: int) -> tuple[Fraction, list[Fraction], list[Fraction]]:
     """A bound of a polynomial over [-1, 1]^N, a point where it is likely to be large, what each coordinate bends it.
 
     The constant, plus the maximum of the linear and quadratic term of each coordinate, plus the size of all else: of
@@ -1206,22 +1230,22 @@ def largest(g, size):
 # -- words --------------------------------------------------------------------------------------------
 
 
-def texts(values):
+def texts(values: Iterable[Fraction]) -> list[str | None]:
     """Fractions as text, without rounding; None for one that would fill pages."""
     return [str(value) if max(abs(value.numerator), value.denominator) < 10**MOST_DIGITS else None for value in values]
 
 
-def name(k):
+def name(k: int) -> str:
     """What R_k is called."""
     return f"R_{k}" if k else "F_max"
 
 
-def state(x):
+def state(x: Row) -> Witness:
     """The witness that is a state alone."""
     return {"state": texts(x)}
 
 
-def show(values):
+def show(values: Iterable[Fraction]) -> str:
     """Fractions for a reader: as decimals where these are exact and short, else rounded, and marked so."""
     found = []
     for value in values:
@@ -1231,7 +1255,7 @@ def show(values):
     return f"({', '.join(found)})"
 
 
-def about(value, digits=6):
+def about(value: Fraction, digits: int = 6) -> str:
     """A fraction rounded to so many digits."""
     try:
         found = float(value)
@@ -1242,7 +1266,7 @@ def about(value, digits=6):
     return f"{found:.{digits}g}"
 
 
-def beside_one(alpha):
+def beside_one(alpha: Fraction) -> str:
     """alpha as 1 + what is beyond."""
     return "1" if alpha == 1 else f"1 {'+' if alpha > 1 else '-'} {about(abs(alpha - 1))}"
 
@@ -1250,7 +1274,7 @@ def beside_one(alpha):
 # -- the command --------------------------------------------------------------------------------------
 
 
-def arguments(**options):
+def arguments(**options: Any) -> argparse.ArgumentParser:
     """The parser of the command."""
     parser = argparse.ArgumentParser(prog="verify", description=__doc__.split(":")[0], **options)
     parser.add_argument("file", metavar="FILE", help="a certificate")
@@ -1260,13 +1284,13 @@ def arguments(**options):
     return parser
 
 
-def duration(text):
+def duration(text: str) -> float:
     """Seconds, from 0 on."""
     Budget(float(text))
     return float(text)
 
 
-def run(options):
+def run(options: argparse.Namespace) -> int:
     """Verify, print, and return the exit status: 0 if all is proven, 1 if not, 2 if the file is no certificate."""
     try:
         report = verify(options.file, options.network, options.ignore_digest, options.seconds)

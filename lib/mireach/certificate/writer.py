@@ -1,13 +1,16 @@
-"""Certificates: what was found about a loop, in one file that anybody can check without trusting this package.
+"""Certificates: the results about a loop in one file that anybody can check without trusting this package.
 
-`write` enlarges the sets of floating-point engines until their claims are exactly true, `verify` checks them by
-`checker.py`, which shares no code with the engines. Every number is the float that it is, as in `rational`.
+`write` enlarges the sets of floating-point engines until their claims are exactly true. `verify` checks them with
+`checker.py`, which shares no code with the engines. A number is the IEEE float that it is, as in `rational`.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,70 +20,89 @@ from ..analysis.terminal_set import TerminalSet
 from ..arithmetic.rational import above, binary, maximize
 from ..checks import require_kind
 from ..engines import exact
+from ..engines.base import Engine
 from ..engines.exact import Exact
 from ..engines.registry import engine_for
 from ..files import write_json
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.nonlinear import NonlinearSystem
+from ..systems.pwa import PWASystem
+from ..typing import Array
 from . import checker
 from .checker import Report
 
-LARGEST_INFLATION = 1e-6  # by which a set may grow to make its claim true, relative to the width of X along the row
-REPAIRS = 30  # steps towards the smallest set that holds a claim, before it is overshot
+LARGEST_INFLATION = 1e-6  # largest growth of a set to make its claim true, relative to the width of X along the row
+REPAIRS = 30  # steps of the iteration towards the smallest set, before larger sets are tried
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What `make` made.
+    """A certificate, and what the checker says of it.
 
     Attributes
     ----------
     content : dict
-        What is written to the file (format mireach-certificate/1, see `checker`).
+        The content of the file (format mireach-certificate/1, see `checker`).
     report : Report
-        What the checker says of it.
+        The report of the checker.
     inflation : float
-        The most by which an offset of a set was raised to make the claims exactly true.
+        The largest increase of an offset of a set that made the claims exactly true.
     """
 
-    content: dict
+    content: dict[str, Any]
     report: Report
     inflation: float
 
     @property
-    def alpha(self):
-        """alpha of eq. StabCondFmin as a Fraction; None if nothing is claimed of it."""
+    def alpha(self) -> Fraction | None:
+        """alpha of eq. (26), StabCondFmin, as a Fraction; None if there is no such claim."""
         alpha = self.content["claims"].get("theorem_1", {}).get("alpha")
         return None if alpha is None else Fraction(alpha)
 
-    def save(self, path):
+    def save(self, path: str | Path) -> None:
         """Write the file."""
         write_json(path, self.content)
 
 
-def write(path, loop, safe, terminal=None, *, plant=None, engine=None):
+def write(
+    path: str | Path,
+    loop: ClosedLoop,
+    safe: SafeSet,
+    terminal: TerminalSet | None = None,
+    *,
+    plant: NonlinearSystem | None = None,
+    engine: Engine | str | None = None,
+) -> Certificate:
     """`make` a certificate and write it to a file."""
     made = make(loop, safe, terminal, plant=plant, engine=engine)
     made.save(path)
     return made
 
 
-def make(loop, safe, terminal=None, *, plant=None, engine=None):
-    """A certificate of what was found about a loop.
+def make(
+    loop: ClosedLoop,
+    safe: SafeSet,
+    terminal: TerminalSet | None = None,
+    *,
+    plant: NonlinearSystem | None = None,
+    engine: Engine | str | None = None,
+) -> Certificate:
+    """A certificate of the results about a loop.
 
     Parameters
     ----------
     loop : ClosedLoop
     safe : SafeSet
-        With a set; any engine may have found it.
+        With a set, from any engine.
     terminal : TerminalSet or None
-        Of that safe set. None claims nothing beyond the safe set.
+        Of that safe set. None makes no claim beyond the safe set.
     plant : NonlinearSystem or None
-        That the loop's system approximates, its f a polynomial: the error set and Theorem 2 are claimed as well.
+        The plant that the loop's system approximates, with a polynomial f: the error set and Theorem 2 are claimed as
+        well.
     engine : Engine, str or None
-        For more than two states: whose bounds the certificate carries; None is the MILP. For two states the bounds are
-        exact.
+        The engine of the bounds in the certificate, for more than two states; None is the MILP. For two states the
+        bounds are exact.
 
     Returns
     -------
@@ -88,37 +110,29 @@ def make(loop, safe, terminal=None, *, plant=None, engine=None):
 
     Raises
     ------
+    TypeError
+        If an argument is of another kind.
     ValueError
         If there is no safe set, the terminal set does not start from it or has no steps, or f is not a polynomial.
 
     Notes
     -----
     In the plane, R_1 of each set is bounded anew in rational arithmetic and rounded up to floats. Where it exceeds the
-    set that should hold it, by the rounding of the engine that found that set, the set is enlarged: the iteration
-    h <- max(h, h of R_1) leads to the smallest set with these rows that holds the claim. Where more than
-    `LARGEST_INFLATION` would be needed the set is left as it is. Nothing depends on the unit of the states.
+    set that should contain it, by the rounding of the engine that computed that set, the set is enlarged: the iteration
+    h <- max(h, h of R_1) leads to the smallest set with these rows for which the claim is true. Where more than
+    `LARGEST_INFLATION` would be necessary the set is not changed. Nothing depends on the unit of the states.
 
-    What the checker does not confirm is "not proven" in the file, with the checker's reason, and where it has one
-    with a witness: a state of fractions without a successor, or a step that leads out of the set. For more than two
-    states the bounds of a solver are "bounded" at best.
+    A claim that the checker does not confirm is "not proven" in the file, with the checker's reason and, if it has
+    one, a witness: a state of fractions without a successor, or a step that leads out of the set. For more than two
+    states claims are at best "bounded", by the bounds of a solver.
     """
     require_kind(loop, ClosedLoop, "loop")
-    require_kind(safe, SafeSet, "safe")
-    if safe.set is None:
-        raise ValueError(f"there is no safe set to certify: {safe.reason}")
-    history = [safe.set]
-    if terminal is not None:
-        require_kind(terminal, TerminalSet, "terminal")
-        history = terminal.history
-        if history[0] is not safe.set:
-            raise ValueError("terminal does not start from safe; give the terminal set of this safe set")
-        if len(history) < 2:
-            raise ValueError("terminal has no steps, only the safe set; leave it out, or give one with steps >= 1")
+    history = _history(safe, terminal)
     planar = loop.system.state_size == 2
-    engine = Exact() if planar else engine_for(loop, engine)
+    bounding: Engine = Exact() if planar else engine_for(loop, engine)
     C = _template(loop, history)
     wanted = [_offsets(loop, R, C) for R in history]
-    sets, bounds = _repaired(loop, C, wanted, engine)
+    sets, bounds = _repaired(_Images(loop, C, bounding), wanted)
     content = {
         "format": checker.FORMAT,
         "system": _system(loop.system),
@@ -128,9 +142,9 @@ def make(loop, safe, terminal=None, *, plant=None, engine=None):
         "claims": _claims(C, sets, terminal, plant, planar),
     }
     if plant is not None:
-        content["plant"] = {"f": _polynomials(plant, loop, safe)}
+        content["plant"] = {"f": _polynomials(plant, loop, history[0])}
     if not planar:
-        content["bounds"] = {"solver": engine.software, "offsets": [h.tolist() for h in bounds]}
+        content["bounds"] = {"solver": bounding.software, "offsets": [h.tolist() for h in bounds]}
     report = _settled(content)
     content["digest"] = checker.digest(checker.parse(json.dumps(content)))
     return Certificate(content, report, max(float((h - given).max()) for h, given in zip(sets, wanted)))
@@ -139,77 +153,99 @@ def make(loop, safe, terminal=None, *, plant=None, engine=None):
 # -- sets ---------------------------------------------------------------------------------------------
 
 
-def _template(loop, history):
-    """All rows that are needed: those of X, of F_max and of the sets that follow."""
+def _history(safe: SafeSet, terminal: TerminalSet | None) -> Sequence[Polytope]:
+    """F_max = R_0, R_1, ..., R_k; TypeError or ValueError if safe and terminal do not give them."""
+    require_kind(safe, SafeSet, "safe")
+    if safe.set is None:
+        raise ValueError(f"there is no safe set to certify: {safe.reason}")
+    if terminal is None:
+        return [safe.set]
+    require_kind(terminal, TerminalSet, "terminal")
+    if terminal.history[0] is not safe.set:
+        raise ValueError("terminal does not start from safe; give the terminal set of this safe set")
+    if len(terminal.history) < 2:
+        raise ValueError("terminal has no steps, only the safe set; leave it out, or give one with steps >= 1")
+    return terminal.history
+
+
+def _template(loop: ClosedLoop, history: Sequence[Polytope]) -> Array:
+    """The rows of X, of F_max and of the sets that follow, each once."""
     rows = [*history[-1].H, *history[0].H, *loop.system.state_set.H]
     return np.array(list({(row + 0.0).tobytes(): row + 0.0 for row in rows}.values()))
 
 
-def _offsets(loop, R, C):
-    """Offsets of R & X along C: the given ones of their rows, elsewhere the support function, rounded up."""
+def _offsets(loop: ClosedLoop, R: Polytope, C: Array) -> Array:
+    """Offsets of R & X along C: the given offsets for their own rows, else the support function, rounded up."""
     H, h = np.vstack([R.H, loop.system.state_set.H]) + 0.0, [*R.h, *loop.system.state_set.h]
-    given = {}
+    given: dict[bytes, float] = {}
     for row, offset in zip(H, h):
         given[row.tobytes()] = min(offset, given.get(row.tobytes(), np.inf))
     rows = binary(H), binary(h)
     return np.array([given[row.tobytes()] if row.tobytes() in given else _support(R, rows, row) for row in C])
 
 
-def _support(R, rows, c):
-    """The smallest float that is not below max {c x : rows}; that of R in floats if no point satisfies the rows."""
+def _support(R: Polytope, rows: tuple[Any, Any], c: Array) -> float:
+    """max {c x : rows}, rounded up; the support function of R in floats if no point satisfies the rows."""
     value = maximize(*rows, binary(c)).value
     return R.support(c[None])[0] if value == -np.inf else above(value)
 
 
-def _repaired(loop, C, wanted, engine):
-    """Offsets, at least those that are wanted, with which R_1 of each set lies in the next; and h of R_1 of each.
+class _Images(NamedTuple):
+    """Images of sets {x : C x <= h} under a loop, by the bounds of an engine."""
 
-    Where that needs more than `LARGEST_INFLATION`, offsets stay what they were.
+    loop: ClosedLoop
+    C: Array
+    engine: Engine
+
+    def __call__(self, h: Array) -> Array:
+        """h of R_1({x : C x <= h}) along C, rounded up."""
+        return support(self.loop, Polytope(self.C, h), self.C, engine=self.engine).bound
+
+
+def _repaired(images_of: _Images, wanted: Sequence[Array]) -> tuple[list[Array], list[Array]]:
+    """Offsets, not below `wanted`, for which R_1 of each set lies in the next one; and h of R_1 of each set.
+
+    Where that needs more than `LARGEST_INFLATION`, offsets are not changed.
     """
-    X = loop.system.state_set
-    rows = binary(X.H), binary(X.h)
-    most = LARGEST_INFLATION * np.array([_support(X, rows, c) + _support(X, rows, -c) for c in C])
-    h, image = _invariant(loop, C, wanted[0], engine, most)
+    X = images_of.loop.system.state_set
+    most = LARGEST_INFLATION * np.array([_support(X, X.exact, c) + _support(X, X.exact, -c) for c in images_of.C])
+    h, image = _invariant(images_of, wanted[0], most)
     sets, images = [h], [image]
     for given in wanted[1:]:
         raised = np.maximum(given, images[-1])
         h = np.minimum(raised if (raised - given <= most).all() else given, sets[-1])
         sets.append(h)
-        images.append(_image(loop, C, h, engine))
+        images.append(images_of(h))
     return sets, images
 
 
-def _invariant(loop, C, wanted, engine, most):
-    """The smallest offsets above `wanted` with R_1({C x <= h}) in {C x <= h}, and h of R_1 then.
+def _invariant(images_of: _Images, wanted: Array, most: Array) -> tuple[Array, Array]:
+    """The smallest offsets h, not below `wanted`, with R_1({x : C x <= h}) in {x : C x <= h}; and h of that R_1.
 
-    `wanted` again if an offset would have to be raised by more than `most`.
+    They are `wanted` if an offset would have to be raised by more than `most`.
     """
     h = wanted
     for _ in range(REPAIRS):
-        image = _image(loop, C, h, engine)
+        image = images_of(h)
         if (image <= h).all():
             return h, image
         h = np.maximum(h, image)
         if (h - wanted > most).any():
-            return wanted, _image(loop, C, wanted, engine)
-    step = h - wanted  # the iteration creeps: a little more is tried
+            return wanted, images_of(wanted)
+    step = h - wanted  # the iteration converges slowly: larger sets are tried
     while (step <= most).all():
         h, step = wanted + step, 2 * step
-        image = _image(loop, C, h, engine)
+        image = images_of(h)
         if (image <= h).all():
             return h, image
-    return wanted, _image(loop, C, wanted, engine)
-
-
-def _image(loop, C, h, engine):
-    """h of R_1({x : C x <= h}) along C, rounded up."""
-    return support(loop, Polytope(C, h), C, engine=engine).bound
+    return wanted, images_of(wanted)
 
 
 # -- content ------------------------------------------------------------------------------------------
 
 
-def _system(system):
+def _system(system: PWASystem) -> dict[str, Any]:
+    """The system as JSON."""
     modes = [
         {
             **{name: getattr(mode, name).tolist() for name in "ABp"},
@@ -221,12 +257,15 @@ def _system(system):
     return {"modes": modes, "state_set": system.state_set.to_dict(), "input_set": system.input_set.to_dict()}
 
 
-def _claims(C, sets, terminal, plant, planar):
-    """What is claimed, before the checker has been asked."""
-    claims, verdict = {"inputs": {}, "safe_set": {}}, "proven" if planar else "bounded"
+def _claims(
+    C: Array, sets: Sequence[Array], terminal: TerminalSet | None, plant: NonlinearSystem | None, planar: bool
+) -> dict[str, dict[str, Any]]:
+    """The claims before the checker has run."""
+    claims: dict[str, dict[str, Any]] = {"inputs": {}, "safe_set": {}}
+    verdict = "proven" if planar else "bounded"
     if terminal is not None:
         c = terminal.centre.tolist()
-        alpha = exact.growth(C, *sets[-2:], c) if planar else _growth_of_offsets(C, *sets[-2:], c)
+        alpha = exact.growth(C, sets[-2], sets[-1], c) if planar else _growth_of_offsets(C, sets[-2], sets[-1], c)
         alpha = None if alpha is not None and alpha < 0 else alpha  # c is not in the set before the last
         claims |= {
             "sequence": {},
@@ -245,12 +284,12 @@ def _claims(C, sets, terminal, plant, planar):
     return claims
 
 
-def _growth_of_offsets(C, before, h, centre):
+def _growth_of_offsets(C: Array, before: Array, h: Array, centre: Sequence[float]) -> Fraction | None:
     """As `exact.growth`, from the offsets of both sets: a lower bound where R has rows that do not touch it."""
     c = [Fraction(entry) for entry in centre]
     shares = []
     for row, *limits in zip(C.tolist(), before.tolist(), h.tolist()):
-        middle = sum(Fraction(entry) * part for entry, part in zip(row, c))
+        middle = sum((Fraction(entry) * part for entry, part in zip(row, c)), Fraction(0))
         outer, inner = (Fraction(limit) - middle for limit in limits)
         if inner <= 0:
             return None
@@ -258,12 +297,12 @@ def _growth_of_offsets(C, before, h, centre):
     return min(shares)
 
 
-def _settled(content):
-    """Ask the checker; what it does not confirm becomes "not proven", with its reason. Returns its last Report."""
+def _settled(content: dict[str, Any]) -> Report:
+    """Run the checker; claims that it does not confirm become "not proven", with its reason. Its last Report."""
     report = checker.check(checker.parse(json.dumps(content)))
     claims, found = content["claims"], {one.claim: one for one in report.results}
     refuted = {name for name, one in found.items() if one.verdict == "refuted"}
-    if "criterion" in refuted and "terminal_set" not in refuted:  # it is decided exactly, one way or the other
+    if "criterion" in refuted and "terminal_set" not in refuted:  # the checker decides it exactly
         claims["criterion"]["holds"] = not claims["criterion"]["holds"]
         return _settled(content)
     for name, result in found.items():
@@ -275,19 +314,19 @@ def _settled(content):
     return report
 
 
-def _polynomials(plant, loop, safe):
+def _polynomials(plant: NonlinearSystem, loop: ClosedLoop, F: Polytope) -> list[list[dict[str, Any]]]:
     """f of a plant as lists of terms.
 
     Raises
     ------
     ValueError
-        If f is not a polynomial, or F_max and U are not within the plant's limits.
+        If f is not a polynomial, or F = F_max and U are not within the plant's limits.
     """
     require_kind(plant, NonlinearSystem, "plant")
-    if not (safe.set.is_subset(plant.state_set) and loop.system.input_set.is_subset(plant.input_set)):
-        raise ValueError("F_max or U leaves the limits of the plant, which its f is not known beyond")
-    n, m = loop.system.state_size, loop.system.input_size
-    z = [_Polynomial({tuple(int(i == j) for j in range(n + m)): Fraction(1)}) for i in range(n + m)]
+    if not (F.is_subset(plant.state_set) and loop.system.input_set.is_subset(plant.input_set)):
+        raise ValueError("F_max or U leaves the limits of the plant, outside which its f is not defined")
+    n, size = loop.system.state_size, loop.system.state_size + loop.system.input_size
+    z = [_Polynomial({tuple(int(i == j) for j in range(size)): Fraction(1)}) for i in range(size)]
     try:
         components = [z[0] * 0 + part for part in plant.f(z[:n], z[n:])]
     except TypeError as error:
@@ -300,12 +339,13 @@ def _polynomials(plant, loop, safe):
     ]
 
 
-def _written(value):
-    """A fraction as the float that it is, or as text p/q if no float is."""
+def _written(value: Fraction) -> float | str:
+    """A fraction as a float if that is exact, else as text p/q."""
     return float(value) if _is_float(value) else str(value)
 
 
-def _is_float(value):
+def _is_float(value: Fraction) -> bool:
+    """Whether a fraction is a float."""
     try:
         return Fraction(float(value)) == value
     except OverflowError:
@@ -313,48 +353,49 @@ def _is_float(value):
 
 
 class _Polynomial:
-    """A polynomial {powers: coefficient} in fractions; numbers that meet it are the floats that they are."""
+    """A polynomial {powers: coefficient} in fractions; other operands are numbers, read as the floats that they are."""
 
-    __array_ufunc__ = None  # numpy's numbers leave the arithmetic to this class, its functions raise TypeError
+    __array_ufunc__ = None  # numpy numbers leave the arithmetic to this class; numpy functions raise TypeError
 
-    def __init__(self, terms):
+    def __init__(self, terms: dict[tuple[int, ...], Fraction]) -> None:
         self.terms = terms
 
-    def _of(self, other):
+    def _of(self, other: Any) -> "_Polynomial":
+        """A number as a constant polynomial."""
         if isinstance(other, _Polynomial):
             return other
         size = len(next(iter(self.terms)))
         return _Polynomial({(0,) * size: Fraction(float(other))})
 
-    def __add__(self, other):
+    def __add__(self, other: Any) -> "_Polynomial":
         found = dict(self.terms)
         for powers, value in self._of(other).terms.items():
-            found[powers] = found.get(powers, 0) + value
+            found[powers] = found.get(powers, Fraction(0)) + value
         return _Polynomial(found)
 
-    def __mul__(self, other):
-        found = {}
+    def __mul__(self, other: Any) -> "_Polynomial":
+        found: dict[tuple[int, ...], Fraction] = {}
         for powers, value in self.terms.items():
             for others, factor in self._of(other).terms.items():
                 both = tuple(map(sum, zip(powers, others)))
-                found[both] = found.get(both, 0) + value * factor
+                found[both] = found.get(both, Fraction(0)) + value * factor
         return _Polynomial(found)
 
-    def __pow__(self, exponent):
+    def __pow__(self, exponent: Any) -> "_Polynomial":
         if exponent != int(exponent) or exponent < 0:
             raise TypeError(f"the power {exponent} is no whole number from 0 on")
         return prod([self] * int(exponent), start=self._of(1))
 
-    def __neg__(self):
+    def __neg__(self) -> "_Polynomial":
         return self * -1
 
-    def __sub__(self, other):
+    def __sub__(self, other: Any) -> "_Polynomial":
         return self + -self._of(other)
 
-    def __rsub__(self, other):
+    def __rsub__(self, other: Any) -> "_Polynomial":
         return -self + other
 
-    def __truediv__(self, other):
+    def __truediv__(self, other: Any) -> "_Polynomial":
         return _Polynomial({powers: value / Fraction(float(other)) for powers, value in self.terms.items()})
 
     __radd__, __rmul__ = __add__, __mul__

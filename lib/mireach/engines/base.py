@@ -1,10 +1,14 @@
-"""What an engine is, and what it answers with."""
+"""The interface of an engine, and the types of its results.
+
+`Engine` says how to write an engine of your own. `checked_query`, `empty_support`, `replay` and `LazySequence` are
+helpers for that.
+"""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, overload
 
 import numpy as np
 
@@ -12,21 +16,23 @@ from ..checks import real_array, require_columns, require_kind, whole_number
 from ..results import NOT_STORED, Result
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from ..typing import Array, IntArray
+from ..typing import Array, ArrayLike, IntArray
 
 EXACT = "exact arithmetic"  # what a bound may rest on, the strongest first
 COUNTED = "rounding counted"  # floats whose rounding errors are bounded and added
 SOLVER = "a solver's word"  # within its tolerances, if the solver is right
 
+T = TypeVar("T")
+
 
 @dataclass(frozen=True)
 class Escape(Result):
-    """A step that leads out of a set, in rational numbers; `steps.successor` replays it.
+    """A step that leads out of a set, in rational numbers; `steps.successor` computes it again.
 
     Attributes
     ----------
     state, disturbance, after : tuple of n Fraction
-        A state of the set, a disturbance of the mode's set, and where they lead: outside the set.
+        A state of the set, a disturbance of the mode's set, and the successor, which lies outside the set.
         The last two are None where the state itself has no successor.
     mode : int or None
         Counted from 0.
@@ -59,7 +65,7 @@ class Witness(Result):
         The mode that acts at each step, counted from 0; it matters where regions share a boundary.
     disturbances : array (steps, n)
     exact : Escape or None
-        Where the trajectory leaves a set: the step that does, in fractions.
+        The step in fractions with which the trajectory leaves a set.
     """
 
     states: Array
@@ -76,7 +82,7 @@ class Witness(Result):
 
 
 class Query(NamedTuple):
-    """What a support function was asked for: h of R_k(F) along the rows of V (k, n), with k = `steps`."""
+    """The arguments of a support function: h of R_k(F) along the rows of V (l, n), with k = `steps`."""
 
     loop: ClosedLoop
     F: Polytope
@@ -86,24 +92,26 @@ class Query(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Support(Result):
-    """The support function of a reachable set along k directions, from both sides.
+    """Upper bounds and attained values of the support function of a reachable set along k directions.
 
     Attributes
     ----------
     value : array (k,)
-        Attained by the witness; -inf where the reachable set is empty.
+        Attained by the witness; -inf without a witness, and where the reachable set is empty.
     bound : array (k,)
         Upper bound; no trajectory exceeds it. Sets are built from it.
     witness : sequence of Witness or None
-        One per direction; None where there is no trajectory at all.
+        One per direction; None where no trajectory was found.
     rests_on : str
         What `bound` rests on: `EXACT`, `COUNTED` or `SOLVER`.
     resolution : array (k,) or float
-        How far the engine's bounds may lie above the truth, and tie with it (units of v x).
+        Bounds may lie above the true values by this much. A bound that exceeds a limit by less is a tie, not yet
+        a violation (units of v x).
     source : Support or None
-        The engine's own answer, in the units of `units.own_units`: a warm start for a smaller set.
+        The engine's own answer, in the units of `units.own_units`: a warm start for a smaller set. `mireach.support`
+        sets it.
     query : Query or None
-        The question, in the user's units.
+        The arguments, in the user's units. `mireach.support` sets it.
     """
 
     value: Array
@@ -121,17 +129,81 @@ class Support(Result):
 class Engine(ABC):
     """An algorithm for the support function of R_k(F), the k-step reachable set (Lemma 2 of [Teichrib2025]).
 
-    A subclass is a frozen dataclass: its fields are its settings. `registry.ENGINES` gives names to engines, so that
-    `engine="milp"` means `engine=Milp()`. An engine of your own needs no name; pass the object.
+    A subclass is a frozen dataclass with a `name` and a method `support`; its fields are its settings. Pass an object
+    of it wherever the package takes an `engine`. It need not be registered: `registry.ENGINES` only maps short names
+    to the engines of the package, so that `engine="milp"` means `engine=Milp()`.
 
     Attributes
     ----------
     name : str
+        How messages and reports call the engine.
     resolution : float
-        How far `bound` may lie above the true value, and tie with it, relative to the size of X. 0 for engines whose
-        error is of the order of rounding.
+        `bound` may lie above the true value by this much, relative to the size of X. A bound that exceeds a limit by
+        less is a tie. 0 for engines whose error is of the order of rounding.
     time_limit : float or None
-        Seconds for one call of `mireach.support`, the check that Phi lies in U included.
+        Seconds for one call of `mireach.support`, the check that Phi lies in U included. Declare it as a field if the
+        engine has such a setting: `mireach.support` then passes a copy of the engine with the seconds that are left.
+        None is no limit.
+
+    Notes
+    -----
+    `mireach.support` checks the arguments, converts the loop, F, V and the cutoff into units of the loop's own
+    (`units.own_units`), checks that Phi lies in U, calls `support`, and converts the answer back. So an engine never
+    sees the units of the user, and tolerances relative to 1 are relative to the size of X. `source` and `query` of
+    the answer are set there, too.
+
+    Two promises make the results of the package proofs, whatever the engine:
+
+    - No trajectory from F exceeds `bound`, on shared boundaries for none of the modes. An engine that has no bound
+      along a row returns inf there. `rests_on` says what the bound rests on: `EXACT` without rounding, `COUNTED` if
+      all rounding errors are counted, `SOLVER` if a solver is trusted. With `SOLVER`, the analyses do not call a
+      property proven without a second check.
+    - `value` is attained by `witness`, a trajectory from F & X whose states before the last lie in X.
+
+    An engine may be called from several threads and must not change its arguments. Keep random numbers reproducible:
+    draw from a generator with a seed.
+
+    See Also
+    --------
+    checked_query : the arguments as arrays, for engines that are also called directly.
+    empty_support : the answer where F & X is empty.
+    replay : a Witness from a state, modes and disturbances.
+    LazySequence : witnesses that are computed when they are read.
+
+    Examples
+    --------
+    An engine that samples states. Samples attain values but bound nothing, so that `bound` is inf.
+
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> import mireach as mr
+    >>> @dataclass(frozen=True)
+    ... class Sampling(Engine):
+    ...     name = "sampling"
+    ...     samples: int = 100
+    ...
+    ...     def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None):
+    ...         V, steps = checked_query(loop, F, V, steps)
+    ...         if steps != 1:
+    ...             raise ValueError(f"the sampling engine takes one step; got steps = {steps}")
+    ...         start = F & loop.system.state_set
+    ...         if start.is_empty:
+    ...             return empty_support(len(V))
+    ...         x = start.sample(np.random.default_rng(0), self.samples)
+    ...         modes = (loop.system.violation(x, loop.network(x)) <= 0).argmax(axis=1)
+    ...         corners = [mode.disturbance.vertices() for mode in loop.system.modes]
+    ...         witness = []
+    ...         for v in V:
+    ...             d = [max(points, key=lambda point: v @ point) for points in corners]
+    ...             paths = [replay(loop, state, [mode], [d[mode]]) for state, mode in zip(x, modes)]
+    ...             witness.append(max(paths, key=lambda path: v @ path.states[-1]))
+    ...         value = np.array([v @ path.states[-1] for v, path in zip(V, witness)])
+    ...         return Support(value, np.full(len(V), np.inf), witness)
+    >>> loop = mr.case_study("pwa").loop
+    >>> F, V = mr.Polytope.box([0, 0], [1, 1]), mr.directions(4)
+    >>> sampled, proven = mr.support(loop, F, V, engine=Sampling()), mr.support(loop, F, V)
+    >>> bool((sampled.value <= proven.bound).all()), sampled.bound.tolist()
+    (True, [inf, inf, inf, inf])
     """
 
     name: ClassVar[str]
@@ -148,13 +220,23 @@ class Engine(ABC):
         return replace(self, time_limit=seconds)  # type: ignore[type-var]  # a subclass is a dataclass
 
     @abstractmethod
-    def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None) -> Support:
+    def support(
+        self,
+        loop: ClosedLoop,
+        F: Polytope,
+        V: ArrayLike,
+        steps: int = 1,
+        *,
+        cutoff: Array | None = None,
+        warm_start: Support | None = None,
+    ) -> Support:
         """The support function of R_k(F) along the rows of V.
 
         Parameters
         ----------
         loop : ClosedLoop
-            In its own units (`units.own_units`): X and U reach to between 1/2 and 1 along every axis. Phi lies in U.
+            In its own units (`units.own_units`): the largest |x_i| over X, and the largest |u_i| over U, lie between
+            1/2 and 1 for every i. Phi lies in U.
         F : Polytope
             States outside X have no successor: F & X counts. It may be empty or flat.
         V : array (k, n)
@@ -162,7 +244,7 @@ class Engine(ABC):
         steps : int
             The k of R_k.
         cutoff : array (k,) or None
-            An engine may stop at a bound that is not above the cutoff.
+            An engine may stop as soon as its bound is not above the cutoff. It may ignore the cutoff.
         warm_start : Support or None
             An earlier answer of this engine for the same loop, V and steps and a larger F. An engine may ignore it.
 
@@ -180,62 +262,74 @@ class Engine(ABC):
         """
 
 
-class Lazily(Sequence):
-    """A sequence whose entry i is make(i), made when it is first asked for; pickled it is a tuple."""
+class LazySequence(Sequence[T], Generic[T]):
+    """A sequence whose entry i is make(i), computed when it is first read; pickled it is a tuple."""
 
-    def __init__(self, count, make):
-        self._indices, self._make, self._made = range(count), make, {}
+    def __init__(self, count: int, make: Callable[[int], T]) -> None:
+        self._indices = range(count)
+        self._make = make
+        self._made: dict[int, T] = {}
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return tuple, (list(self),)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self._indices)
 
-    def __getitem__(self, i):
+    @overload
+    def __getitem__(self, i: int) -> T: ...
+
+    @overload
+    def __getitem__(self, i: slice) -> tuple[T, ...]: ...
+
+    def __getitem__(self, i: int | slice) -> T | tuple[T, ...]:
         chosen = self._indices[i]
         return tuple(map(self._entry, chosen)) if isinstance(chosen, range) else self._entry(chosen)
 
-    def _entry(self, i):
+    def _entry(self, i: int) -> T:
         if i not in self._made:
             self._made[i] = self._make(i)
         return self._made[i]
 
 
-def empty_support(count, rests_on=COUNTED):
+def empty_support(count: int, rests_on: str = COUNTED) -> Support:
     """The support function of the empty set along `count` directions."""
     nothing = np.full(count, -np.inf)
     return Support(nothing, nothing, (None,) * count, rests_on=rests_on)
 
 
-def replay(loop, x0, modes, disturbances):
+def replay(loop: ClosedLoop, x0: ArrayLike, modes: Iterable[int], disturbances: Iterable[ArrayLike]) -> Witness:
     """The trajectory from x0 under given modes (steps,) and disturbances (steps, n), as a Witness."""
-    states, inputs = [np.asarray(x0, float)], []
+    modes, disturbances = list(modes), list(disturbances)
+    states: list[Array] = [np.asarray(x0, float)]
+    inputs: list[Array] = []
     for i, d in zip(modes, disturbances):
         inputs.append(loop.network(states[-1]))
         states.append(loop.system.modes[i].successor(states[-1], inputs[-1], d))
     return Witness(np.array(states), np.array(inputs), np.asarray(modes, int), np.asarray(disturbances, float))
 
 
-def standing(loop, x, exact=None):
-    """A trajectory of no steps at x (n,), as a Witness."""
+def standing(loop: ClosedLoop, x: ArrayLike, exact: Escape | None = None) -> Witness:
+    """A trajectory of no steps that stays at x (n,), as a Witness."""
     n, m = loop.system.state_size, loop.system.input_size
     return Witness(np.asarray(x)[None], np.zeros((0, m)), np.zeros(0, int), np.zeros((0, n)), exact)
 
 
-def checked_query(loop, F, V, steps):
-    """V as an array (k, n) and steps as an int, after all arguments of a query have been looked at.
+def checked_query(loop: ClosedLoop, F: Polytope, V: ArrayLike, steps: int) -> tuple[Array, int]:
+    """V as an array (k, n) and steps as an int, after all arguments of a query are checked.
 
     Raises
     ------
+    TypeError
+        If loop is no ClosedLoop or F no Polytope.
     ValueError
         If F or V do not fit the state, or steps is not a positive whole number.
     """
     require_kind(loop, ClosedLoop, "loop")
     require_kind(F, Polytope, "F")
     n = loop.system.state_size
-    V = real_array(V, "V", 2)
-    require_columns(V, n, "V", "the state's size")
+    directions = real_array(V, "V", 2)
+    require_columns(directions, n, "V", "the state's size")
     if F.dimension != n:
         raise ValueError(f"F lies in R^{F.dimension}, but the state has {n} entries")
-    return V, whole_number(steps, "steps", 1)
+    return directions, whole_number(steps, "steps", 1)

@@ -2,14 +2,15 @@
 
 Under a maxout network a piecewise-affine system with two states is again piecewise affine: X falls into
 convex polygons, the cells, on each of which one mode acts and Phi is affine. The support function of the
-reachable set is then a maximum over the vertices of (cell & F), without any MILP.
+reachable set is then a maximum over the vertices of (cell & F), without a MILP.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from math import inf, nextafter
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -18,22 +19,25 @@ from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.templates import box_directions
 from ..solvers.linear_program import LinearProgram
-from .base import Engine, Lazily, Support, checked_query, empty_support, replay
+from ..systems.loop import ClosedLoop
+from ..systems.network import MaxoutNetwork
+from ..typing import Array, ArrayLike, IntArray
+from .base import Engine, LazySequence, Support, Witness, checked_query, empty_support, replay
 
 TOUCH = 1e-11  # closed sets that come this close touch (relative to the size of X)
 ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this (in the units of the loop) ...
-NOISE = 2.0**-44  # ... and of this for large images, relative to them: it has to stay above the rounding of floats
-CORNER = 2.0**-50  # how far rounding moves a new corner off its edge, at most (relative to the size of X)
-SHAPED = 16  # cuts that a polygon of X and a region counts for; rounding moves its corners by no more than theirs
-CUTS = 64  # cuts by rows of F, one after the other, that the errors of a cell allow for
-PARALLEL = 4e-15  # rows of a smaller sine are opposite but for rounding, as those of a template are
-SHARP = 0.1  # tips of a smaller sine are cut off by a row of their own, for rounding moves them far
+NOISE = 2.0**-44  # ... or of this, relative to the size of large images; it has to exceed the rounding of floats
+CORNER = 2.0**-50  # upper bound of the distance by which rounding moves a new corner (relative to the size of X)
+SHAPED = 16  # a polygon of X and a region counts for this many cuts, which bounds the rounding of its corners
+CUTS = 64  # consecutive cuts by rows of F that the errors of a cell allow for
+PARALLEL = 4e-15  # rows whose angle has a smaller sine are opposite up to rounding, as those of a template are
+SHARP = 0.1  # tips whose angle has a smaller sine are cut off by an additional row, since rounding moves them far
 MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall into
 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """The half-planes of x beyond which the state or a mode ends: rows H x <= h of X and of regions.
+    """The half-planes of x that limit X or a mode: rows H x <= h of X and of regions.
 
     Attributes
     ----------
@@ -42,9 +46,9 @@ class Walls:
         The mode whose region the row bounds; -1 for the rows of X.
     """
 
-    H: np.ndarray
-    h: np.ndarray
-    mode: np.ndarray
+    H: Array
+    h: Array
+    mode: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,88 +58,95 @@ class NetworkCells:
     Attributes
     ----------
     polygons : Polygons
-        N cells. On a boundary that modes share, each of them has a cell, be it only an edge or a point.
+        N cells. On a boundary that modes share, each of them has a cell, even if it is only an edge or a point.
     mode : array (N,) of int
     K : array (N, m, 2)
     g : array (N, m)
     error : array (N, m)
-        |K x + g - Phi(x)| is at most this on the cell, as far as the rounding of its corners reaches.
+        Upper bound of |K x + g - Phi(x)| on the cell, rounding of its corners included.
     cuts : array (N,) of int
         Every state x of a mode lies within `cuts` CORNER of a cell of the mode (relative to the size of X).
     walls : Walls
     """
 
     polygons: Polygons
-    mode: np.ndarray
-    K: np.ndarray
-    g: np.ndarray
-    error: np.ndarray
-    cuts: np.ndarray
+    mode: IntArray
+    K: Array
+    g: Array
+    error: Array
+    cuts: IntArray
     walls: Walls
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.polygons)
 
-    def take(self, chosen):
+    def take(self, chosen: IntArray) -> "NetworkCells":
         """The cells with the given indices."""
-        per_cell = (self.mode, self.K, self.g, self.error, self.cuts)
-        return NetworkCells(self.polygons.take(chosen), *(array[chosen] for array in per_cell), self.walls)
+        return NetworkCells(
+            self.polygons.take(chosen),
+            self.mode[chosen],
+            self.K[chosen],
+            self.g[chosen],
+            self.error[chosen],
+            self.cuts[chosen],
+            self.walls,
+        )
 
     @cached_property
-    def all(self):
+    def all(self) -> IntArray:
         """The indices of all cells: array (N,)."""
         return np.arange(len(self))
 
     @cached_property
-    def size(self):
+    def size(self) -> float:
         """Largest coordinate, at least 1."""
         return _size(self.polygons.points)
 
-    def restrict(self, F):
-        """Those parts of the cells that meet the Polytope F: Polygons, and the cell each comes from.
+    def restrict(self, F: Polytope) -> tuple[Polygons, IntArray]:
+        """The intersections of the cells with the Polytope F: Polygons, and the index of the cell of each.
 
-        A part is the intersection to within rounding, from outside, wherever F has an edge.
+        They contain the exact intersections, and exceed them by no more than rounding.
         """
-        points, starts, owner = parts(self.question(F))
+        points, starts, owner = parts(self.kernel_arguments(F))
         return Polygons(points, starts), owner
 
-    def question(self, F):
-        """What the compiled loops have to know: the cells, the half-planes of F, and what counts as rounding.
+    def kernel_arguments(self, F: Polytope) -> tuple[Any, ...]:
+        """The arguments of the compiled loops: the cells, the half-planes of F, and the tolerances for rounding.
 
-        Cells are cut a little beyond each row of F, so that nothing of F is lost to rounding.
+        Cells are cut slightly beyond each row of F, so that no part of F is lost to rounding.
         """
         H, h, only = _blunted(F, self.walls, self.size)
         slack = (self._most_cuts + len(h)) * CORNER * self.size
         return (*self._shapes, H, h, only, slack, TOUCH * self.size)
 
     @cached_property
-    def _shapes(self):
+    def _shapes(self) -> tuple[Any, ...]:
         return (self.polygons.points, self.polygons.starts, *self.polygons.discs, self.mode)
 
     @cached_property
-    def _most_cuts(self):
+    def _most_cuts(self) -> int:
         return int(self.cuts.max(initial=0))
 
 
 @dataclass(frozen=True, eq=False)
 class CellSupport(Support):
-    """A Support and the cells that are worth a look for smaller sets.
+    """A Support and the cells that are not yet ruled out for smaller sets.
 
     Attributes
     ----------
     F : Polytope
-        Of which the reachable set was asked for.
+        The set whose reachable set it is.
     cells : NetworkCells
     left : array (q,) of int
-        All of them but those that were found to miss F.
+        All of them except those that do not meet F.
     """
 
     F: Polytope
     cells: NetworkCells
-    left: np.ndarray
+    left: IntArray
 
-    def within(self, F, cells):
-        """Those of `cells` that a set F may meet: `left` if it lies in the one here, row by row, else all of them."""
+    def within(self, F: Polytope, cells: NetworkCells) -> IntArray:
+        """The `cells` that a set F may meet: `left` if F has the rows of `self.F` and no larger offset, else all."""
         smaller = self.cells is cells and np.array_equal(F.H, self.F.H) and (F.h <= self.F.h).all()
         return self.left if smaller else cells.all
 
@@ -150,26 +161,26 @@ class LoopCells:
     M : array (N, 2, 2)
     c : array (N, 2)
     error : array (N, 2)
-        Of M x + c + d, by component: the state x that it stands for is another one by rounding, and so are M and c.
+        Upper bound of the error of every component of M x + c + d, from the rounding of x, M and c.
     corners : list of arrays (v, 2)
-        Of the D^(i) of every mode.
+        The corners of D^(i) of every mode.
     unit : float
         Bounds are rounded up to multiples of this power of two, the same for all sets of the loop.
     """
 
     cells: NetworkCells
-    M: np.ndarray
-    c: np.ndarray
-    error: np.ndarray
-    corners: list
+    M: Array
+    c: Array
+    error: Array
+    corners: list[Array]
     unit: float
 
-    def images(self, points, owner):
+    def images(self, points: Array, owner: IntArray) -> Array:
         """M x + c at points (T, 2) of the cells `owner` (T,): array (T, 2)."""
         return np.einsum("tij,tj->ti", self.M[owner], points) + self.c[owner]
 
 
-def cells(loop):
+def cells(loop: ClosedLoop) -> NetworkCells:
     """The cells of a closed loop over X.
 
     Parameters
@@ -185,13 +196,13 @@ def cells(loop):
     Raises
     ------
     ValueError
-        If the loop has not two states.
+        If the loop does not have two states.
     """
     return dynamics(loop).cells
 
 
 @lru_cache(maxsize=128)
-def dynamics(loop):
+def dynamics(loop: ClosedLoop) -> LoopCells:
     """The cells of a closed loop with x+ = M x + c on each of them: LoopCells, the same object for the same loop.
 
     Raises
@@ -205,10 +216,10 @@ def dynamics(loop):
     found = _cells(loop.network, tuple(mode.region for mode in system.modes), system.state_set)
     A, B, p = (maps[found.mode] for maps in system.maps)
     M, c = A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p
-    known = {mode.disturbance: _corners(mode.disturbance) for mode in system.modes}
-    every = LoopCells(found, M, c, np.zeros_like(c), [known[mode.disturbance] for mode in system.modes], 0.0)
+    of_set = {mode.disturbance: _corners(mode.disturbance) for mode in system.modes}
+    every = LoopCells(found, M, c, np.zeros_like(c), [of_set[mode.disturbance] for mode in system.modes], 0.0)
     images = every.images(found.polygons.points, found.polygons.owner)
-    size = max(_size(found.polygons.points), _size(images), *(_size(corners) for corners in known.values()))
+    size = max(_size(found.polygons.points), _size(images), *(_size(corners) for corners in of_set.values()))
     inputs = np.abs(found.K).sum(axis=2) * found.size + np.abs(found.g) + found.error
     rounding = np.abs(A).sum(axis=2) * found.size + np.einsum("nij,nj->ni", np.abs(B), inputs) + np.abs(p) + size
     error = np.einsum("nij,nj->ni", np.abs(B), found.error) + 4 * CORNER * rounding
@@ -230,43 +241,51 @@ class Cells(Engine):
     Notes
     -----
     exact <= bound <= exact + 1e-9 was found for every set that was compared with the exact engine, thin slivers and
-    needles among them, along rows of length 1, for loops with coordinates up to 800 and gains |M| up to 400. What is
-    behind it, with eta = `CORNER` for what rounding does to one corner:
+    needles among them, along rows of length 1, for loops with coordinates up to 800 and gains |M| up to 400. The
+    reasons, with eta = `CORNER` for the rounding of one corner:
 
     - Every state x of a mode lies within `cuts` eta of a cell of that mode, and there |K x + g - Phi(x)| is at most
-      the `error` of the cell (`compiled.affine_pieces`); large weights make it large. Rows of a region that involve u
+      the `error` of the cell (`kernels.affine_pieces`), which grows with the weights. Rows of a region that involve u
       are moved outward by it.
-    - Cells are cut by the rows of F moved outward by (`cuts` + rows) eta, so what is left of the cell holds a point
+    - Cells are cut by the rows of F moved outward by (`cuts` + rows) eta, so the rest of the cell contains a point
       that near x, and v x+ is at most the largest v (M x + c + d) over its corners plus |v| times `LoopCells.error`:
-      |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. So the bound is not below the truth.
-    - Nor is it far above. What is left of a cell may lie outside of F & X, or outside of the cell itself, but not by
-      more than that in any row. Edges between cells of one mode may be as parallel as they like: Phi is continuous.
+      |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. So the bound is not below the true value.
+    - Nor is it far above. The rest of a cell may lie outside F & X, or outside the cell itself, but not by more than
+      that in any row. Edges between cells of one mode may be as parallel as they like: Phi is continuous.
       Where two rows of F, or one of F and one of X or of a region, make a tip of a sine below `SHARP`, a row through
       the exact tip, in rational arithmetic, is added across it.
 
-    What remains: a mode whose boundary depends on u reaches as far as the rounding of u says, so for a row of F that
-    is parallel to the boundary within an angle w the bound is high by about 1e-14 / w. Sets that come within 1e-11 of
-    each other count as touching, and rows that are opposite to within 4e-15 as parallel. With `steps` > 1 each piece
-    is widened by its error before it goes on: the bound stays above the truth, and that error grows with the gain of
-    the loop.
+    Limits: a mode whose boundary depends on u is enlarged by the rounding of u, so for a row of F that is parallel to
+    the boundary within an angle w the bound is high by about 1e-14 / w. Sets that come within 1e-11 of each other count
+    as touching, and rows that are opposite to within 4e-15 as parallel. With `steps` > 1 each piece is widened by its
+    error before the next step: the bound stays above the true value, and the error grows with the gain of the loop.
     """
 
     name: ClassVar[str] = "cells"
 
-    def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None) -> Support:
+    def support(
+        self,
+        loop: ClosedLoop,
+        F: Polytope,
+        V: ArrayLike,
+        steps: int = 1,
+        *,
+        cutoff: Array | None = None,
+        warm_start: Support | None = None,
+    ) -> Support:
         """As `Engine.support`, for two states.
 
         Notes
         -----
-        For one step the answer is a `CellSupport`: as `warm_start` for a smaller set it names the cells that need not
-        be looked at again. More than one step follows every piece of the reachable set through the cells; their number
+        For one step the result is a `CellSupport`: as `warm_start` for a smaller set it excludes cells that this set
+        cannot meet. More than one step follows every piece of the reachable set through the cells; their number
         grows with `steps`. `bound` is rounded up to a multiple of 1.5e-11, of more for images above 256 (times |v| for
         long rows), so that equal sets give equal numbers. `cutoff` is not used.
 
         Raises
         ------
         ValueError
-            If the loop has not two states, or the reachable set falls into too many pieces.
+            If the loop does not have two states, or the reachable set falls into too many pieces.
         """
         V, steps = checked_query(loop, F, V, steps)
         every = dynamics(loop)
@@ -274,9 +293,9 @@ class Cells(Engine):
         if steps == 1 and isinstance(warm_start, CellSupport):
             chosen = warm_start.within(F, every.cells)
         rows = _rows(loop, every, V.shape, V.tobytes())
-        pieces = [(F, ())]
+        pieces: list[Piece] = [Piece(F, ())]
         for step in range(steps - 1):
-            pieces = _uncovered([image for piece, chain in pieces for image in _images(every, piece, chain)])
+            pieces = _uncovered([image for piece in pieces for image in _images(every, piece)])
             if len(pieces) > MOST_PIECES:
                 raise ValueError(
                     f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, "
@@ -284,31 +303,35 @@ class Cells(Engine):
                 )
         if not pieces:
             return empty_support(len(V))
-        value, top, cell, left = _highest(every, pieces[0][0], rows, chosen)
+        value, top, cell, left = _highest(every, pieces[0].set, rows, chosen)
         end = np.zeros(len(V), int)
-        for number, (piece, _) in enumerate(pieces[1:], start=1):
-            reached, above, where, _ = _highest(every, piece, rows, chosen)
-            better = above > top
-            value[better], top[better], cell[better] = reached[better], above[better], where[better]
+        for number, piece in enumerate(pieces[1:], start=1):
+            piece_value, piece_top, piece_cell, _ = _highest(every, piece.set, rows, chosen)
+            better = piece_top > top
+            value[better] = piece_value[better]
+            top[better] = piece_top[better]
+            cell[better] = piece_cell[better]
             end[better] = number
         if not np.isfinite(value).all():
             return empty_support(len(V))
-        witness = Lazily(len(V), lambda k: _witness(loop, every, F, V[k], *pieces[end[k]], cell[k]))
-        found = value, np.ceil(top / rows.unit + 0.05) * rows.unit, witness
-        return CellSupport(*found, F, every.cells, left) if steps == 1 else Support(*found)
+        witness = LazySequence(len(V), lambda k: _witness(loop, every, F, V[k], pieces[end[k]], cell[k]))
+        found = Support(value, np.ceil(top / rows.unit + 0.05) * rows.unit, witness)
+        if steps > 1:
+            return found
+        return CellSupport(found.value, found.bound, witness, F, every.cells, left)
 
 
 # -- building the cells -------------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=128)
-def _cells(network, regions, state_set):
+def _cells(network: MaxoutNetwork, regions: tuple[Polytope, ...], state_set: Polytope) -> NetworkCells:
     """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u)."""
     return _cut_by_inputs(_before_inputs(network, regions, state_set), regions)
 
 
 @lru_cache(maxsize=128)
-def _before_inputs(network, regions, state_set):
+def _before_inputs(network: MaxoutNetwork, regions: tuple[Polytope, ...], state_set: Polytope) -> NetworkCells:
     """The NetworkCells before they are cut by those rows of regions that involve u: they cover X for every mode."""
     domains, modes, walls = _domains(regions, state_set)
     size = _size(domains.points)
@@ -327,8 +350,10 @@ def _before_inputs(network, regions, state_set):
     return NetworkCells(polygons, modes[owner], K.copy(), g[..., 0].copy(), error[..., 0].copy(), cuts, walls)
 
 
-def input_excess(network, regions, X, U):
-    """By how much Phi may leave U over X, in the units of U.h.
+def input_excess(
+    network: MaxoutNetwork, regions: tuple[Polytope, ...], X: Polytope, U: Polytope
+) -> tuple[float, float, Array]:
+    """The largest violation of U by Phi over X, in the units of U.h.
 
     Parameters
     ----------
@@ -340,11 +365,11 @@ def input_excess(network, regions, X, U):
     Returns
     -------
     most : float
-        max U.H Phi(x) - U.h over all x of X and all rows is at most this, rounding counted.
+        Upper bound of U.H Phi(x) - U.h over all x of X and all rows, rounding counted.
     excess : float
-        The largest value that was found, up to rounding.
+        The largest value at a corner of a cell, up to rounding.
     x : array (2,)
-        Where it was found.
+        That corner.
     """
     found = _before_inputs(network, regions, X)
     points, owner = found.polygons.points, found.polygons.owner
@@ -358,7 +383,7 @@ def input_excess(network, regions, X, U):
 
 
 @lru_cache(maxsize=32)
-def _domains(regions, state_set):
+def _domains(regions: tuple[Polytope, ...], state_set: Polytope) -> tuple[Polygons, IntArray, Walls]:
     """X cut by those rows of each region that do not involve u: Polygons, the mode of each, and all rows as Walls."""
     found, walls = [], [(state_set.H, state_set.h)]
     for region in regions:
@@ -372,10 +397,10 @@ def _domains(regions, state_set):
     return Polygons.of([found[mode] for mode in modes]), modes, walls
 
 
-def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
+def _corners(P: Polytope, H: Array = np.zeros((0, 2)), h: Array = np.zeros(0)) -> Array:  # noqa: B008
     """The corners of {x in P : H x <= h} for a bounded Polytope P: array (v, 2).
 
-    They are off by no more than the rounding that `SHAPED` cuts count for, or further out where a tip is sharp.
+    Their error is at most the rounding of `SHAPED` cuts. Where a tip is sharp they lie further out.
     """
     box = np.array(P.bounding_box())
     size, nowhere = _size(box), Walls(np.zeros((0, 2)), np.zeros(0), np.zeros(0, int))
@@ -387,7 +412,7 @@ def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
         return _part(around, *rows, SHAPED * corner, touch)
     careful = _part(around, P.H, P.h, np.full(len(P.h), -1), 4 * corner, touch)
     apart = np.abs(careful[:, None] - start).max(axis=2).min(axis=1, initial=inf)
-    if (apart > SHAPED / 2 * corner).any():  # `vertices` takes corners that are closer than 1e-11 as one
+    if (apart > SHAPED / 2 * corner).any():  # `vertices` merges corners that are closer than 1e-11
         start = careful
     found = Polygons.of([start])
     for a, b in zip(H, h):
@@ -398,14 +423,14 @@ def _corners(P, H=np.zeros((0, 2)), h=np.zeros(0)):  # noqa: B008
     return found.points
 
 
-def _part(corners, H, h, only, slack, touch):
+def _part(corners: Array, H: Array, h: Array, only: IntArray, slack: float, touch: float) -> Array:
     """The part of one polygon in half-planes: array (v, 2)."""
     whole = Polygons.of([corners])
     return parts((whole.points, whole.starts, *whole.discs, np.zeros(1, int), H, h, only, slack, touch))[0]
 
 
-def _cut_by_inputs(found, regions):
-    """Cut each cell by those rows of its mode's region that involve u; outward, by the error of u."""
+def _cut_by_inputs(found: NetworkCells, regions: tuple[Polytope, ...]) -> NetworkCells:
+    """Cut each cell by the rows of its mode's region that involve u, moved outward by the error of u."""
     size = found.size
     chosen = [(region.H[:, 2:] != 0).any(axis=1) for region in regions]
     for row in range(max(own.sum() for own in chosen)):
@@ -428,44 +453,44 @@ def _cut_by_inputs(found, regions):
     return found
 
 
-def _unit(size):
+def _unit(size: float) -> float:
     """The power of two of which bounds are multiples, for states of this size."""
     power = 2.0 ** np.ceil(np.log2(size))
-    return max(ROUNDING, NOISE * power)
+    return float(max(ROUNDING, NOISE * power))
 
 
-def _size(points):
-    """Largest coordinate, at least 1: what tolerances are relative to."""
-    return max(1.0, np.abs(points).max(initial=0.0))
+def _size(points: Array) -> float:
+    """Largest coordinate, at least 1; tolerances are relative to it."""
+    return max(1.0, float(np.abs(points).max(initial=0.0)))
 
 
-# -- asking -------------------------------------------------------------------------------------------
+# -- queries ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """What does not depend on F, for the rows v of V.
+    """The quantities along the rows v of V that do not depend on F.
 
     Attributes
     ----------
     V : array (k, 2)
     heights, tops : array (N, k)
-        Largest v x+ over each cell, and with the error of the cell.
+        Largest v x+ over each cell, and the same plus the error of the cell.
     spread : array (s, k)
-        h of D^(i).
+        Support function of D^(i).
     unit : array (k,)
         Bounds are rounded up to multiples of it.
     """
 
-    V: np.ndarray
-    heights: np.ndarray
-    tops: np.ndarray
-    spread: np.ndarray
-    unit: np.ndarray
+    V: Array
+    heights: Array
+    tops: Array
+    spread: Array
+    unit: Array
 
 
 @lru_cache(maxsize=32)
-def _rows(loop, every, shape, content):
+def _rows(loop: ClosedLoop, every: LoopCells, shape: tuple[int, ...], content: bytes) -> _Rows:
     """The _Rows of an array of this shape and content."""
     V, found = np.frombuffer(content).reshape(shape).copy(), every.cells
     spread = np.array([(V @ corners.T).max(axis=1) for corners in every.corners])
@@ -475,17 +500,17 @@ def _rows(loop, every, shape, content):
     return _Rows(V, heights, heights + every.error @ np.abs(V).T, spread, unit)
 
 
-def _highest(every, F, rows, chosen):
-    """max v x+ over the states of F in chosen cells, the same with its error, and the cell; and the cells F may meet.
+def _highest(every: LoopCells, F: Polytope, rows: _Rows, chosen: IntArray) -> tuple[Array, Array, IntArray, IntArray]:
+    """max v x+ over the states of F in chosen cells, the same plus the error, and the cell; and the cells F may meet.
 
-    Arrays (k,) for the rows v of V, and (q,).
+    Three arrays (k,), for the rows v of V, and one (q,).
     """
     maps = (every.M, every.c, every.error, rows.spread, rows.heights, rows.tops, rows.V)
-    return highest(every.cells.question(F), maps, chosen)
+    return highest(every.cells.kernel_arguments(F), maps, chosen)
 
 
-def _blunted(F, walls, size):
-    """The rows of F, and one across every sharp tip that they make with each other or with a wall.
+def _blunted(F: Polytope, walls: Walls, size: float) -> tuple[Array, Array, IntArray]:
+    """The rows of F, and a row across every sharp tip that they form with each other or with a wall.
 
     Returns H, h and the mode (-1 for all) to which each row belongs.
     """
@@ -500,20 +525,20 @@ def _blunted(F, walls, size):
         tips.append((*_across(F.H[r], first, second), mode))
     if not tips:
         return F.H, F.h, only
-    # a Polytope, for the compiled loops are compiled for arrays like its own, which cannot be written to
+    # a Polytope, since the kernels are compiled for read-only arrays like its own
     blunt = Polytope(np.vstack([F.H, [a for a, _, _ in tips]]), np.append(F.h, [b for _, b, _ in tips]))
     return blunt.H, blunt.h, np.append(only, [mode for _, _, mode in tips])
 
 
-def _exact_row(a, b):
+def _exact_row(a: Array, b: float) -> list[Fraction]:
     """A half-plane a x <= b as three Fractions."""
     return [Fraction(value) for value in (*a.tolist(), float(b))]
 
 
-def _across(normal, first, second):
-    """The half-plane a x <= b across the tip of two others, a being `normal` turned by a right angle.
+def _across(normal: Array, first: Sequence[Fraction], second: Sequence[Fraction]) -> tuple[Array, float]:
+    """The half-plane a x <= b through the tip of two others, a being `normal` turned by a right angle.
 
-    The tip is exact, b rounded up. Every point of the two lies in it: a is between their normals.
+    The tip is exact and b is rounded up. The intersection of the two lies in it, since a is between their normals.
     """
     (p, q, r), (s, t, u) = first, second
     turn = p * t - q * s
@@ -524,64 +549,75 @@ def _across(normal, first, second):
     return a, b if Fraction(b) >= exact else nextafter(b, inf)
 
 
+class Piece(NamedTuple):
+    """A Polytope of states after some steps, and the chain of (polygon, cell) of the steps before."""
+
+    set: Polytope
+    chain: tuple[tuple[Array, int], ...]
+
+
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """The image of a part of a cell: the hull of `points` (v, 2), off by no more than `error` (2,).
+    """The image of a part of a cell: the hull of `points` (v, 2), with an error of at most `error` (2,).
 
-    `set` is that hull, widened by the error; `chain` holds the (polygon, cell) that led here.
+    `piece` is that hull widened by the error.
     """
 
-    points: np.ndarray
-    error: np.ndarray
-    set: Polytope
-    chain: tuple
+    points: Array
+    error: Array
+    piece: Piece
 
 
-def _images(every, F, chain):
-    """The images of the parts of F: list of _Image. A box cuts them off, so that widening does not lengthen tips."""
-    part, index = every.cells.restrict(F)
+def _images(every: LoopCells, piece: Piece) -> list[_Image]:
+    """The images of the parts of a piece. Rows of a box are added, so that widening does not lengthen tips."""
+    part, index = every.cells.restrict(piece.set)
     images, found = Polygons(every.images(part.points, index[part.owner]), part.starts), []
     for i, cell in enumerate(index):
         points = (images[i][:, None] + every.corners[every.cells.mode[cell]]).reshape(-1, 2)
         H = np.vstack([Polytope.from_points(points).H, box_directions(2)])
         h = (points @ H.T).max(axis=0) + np.abs(H) @ every.error[cell]
-        found.append(_Image(points, every.error[cell], Polytope(H, h), (*chain, (part[i], cell))))
+        after = Piece(Polytope(H, h), (*piece.chain, (part[i], cell)))
+        found.append(_Image(points, every.error[cell], after))
     return found
 
 
-def _uncovered(images):
-    """(Polytope, chain) of those images that lie in no larger one, errors included."""
+def _uncovered(images: Sequence[_Image]) -> list[Piece]:
+    """The pieces of the images that lie in no larger image, errors included."""
     if not images:
         return []
-    images = sorted(images, key=lambda image: -image.set.area)
+    images = sorted(images, key=lambda image: -image.piece.set.area)
     points, error = Polygons.of([image.points for image in images]), np.array([image.error for image in images])
-    box = points.largest(points.points @ box_directions(2).T) + np.hstack([error, error])  # a set's own box is one too
+    box = points.largest(points.points @ box_directions(2).T) + np.hstack(
+        [error, error]
+    )  # rows of the box are rows of each set
     left, kept = np.arange(len(images)), []
     while len(left):
         first, left = left[0], left[1:]
-        largest = images[first].set
-        kept.append((largest, images[first].chain))
+        largest = images[first].piece.set
+        kept.append(images[first].piece)
         near = left[(box[left] <= box[first]).all(axis=1)]
         part = points.take(near)
-        reach = part.largest(part.points @ largest.H.T) + error[near] @ np.abs(largest.H).T
-        left = np.setdiff1d(left, near[(reach <= largest.h).all(axis=1)], assume_unique=True)
+        heights = part.largest(part.points @ largest.H.T) + error[near] @ np.abs(largest.H).T
+        left = np.setdiff1d(left, near[(heights <= largest.h).all(axis=1)], assume_unique=True)
     return kept
 
 
-def _witness(loop, every, F, v, piece, chain, cell):
-    """A trajectory that attains the maximum along v: through the chain, to the part of `cell` in `piece`."""
-    part, index = every.cells.restrict(piece)
+def _witness(loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, piece: Piece, cell: int) -> Witness:
+    """A trajectory that attains the maximum along v: through the chain of a piece, to the part of `cell` in it."""
+    part, index = every.cells.restrict(piece.set)
     points = part[np.flatnonzero(index == cell)[0]]
-    if chain:
-        return _longer_witness(loop, every, F, v, [*chain, (points, cell)])
+    if piece.chain:
+        return _longer_witness(loop, every, F, v, [*piece.chain, (points, cell)])
     mode = every.cells.mode[cell]
     corners = every.corners[mode]
     point = points[np.argmax(every.images(points, np.full(len(points), cell)) @ v)]
     return replay(loop, point, [mode], [corners[np.argmax(corners @ v)]])
 
 
-def _longer_witness(loop, every, F, v, chain):
-    """max v x(k) over x(0) in F, x(j) in the j-th polygon, d(j) in D: one LP for a known chain of polygons."""
+def _longer_witness(
+    loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, chain: Sequence[tuple[Array, int]]
+) -> Witness:
+    """max v x(k) over x(0) in F, x(j) in the j-th polygon of a chain, d(j) in D: one LP."""
     lp, free = LinearProgram(), np.full(2, np.inf)
     states = [lp.add_columns(-free, free) for _ in range(len(chain) + 1)]
     disturbances = [lp.add_columns(-free, free) for _ in chain]

@@ -1,6 +1,6 @@
 """Whether Phi(x) lies in U for every x in X (Sec. II.A of [Teichrib2025]): one check for all engines.
 
-A state whose input lies outside U has no successor, so that nothing may be said about a loop that has one.
+A state whose input lies outside U has no successor, so that no result holds for a loop with such a state.
 """
 
 from functools import lru_cache
@@ -8,28 +8,38 @@ from functools import lru_cache
 import numpy as np
 
 from ..arithmetic.rational import binary, nearest
-from ..systems.loop import input_message
+from ..sets.polytope import Polytope
+from ..systems.loop import ClosedLoop, input_message
+from ..systems.network import MaxoutNetwork
+from ..typing import Array
 from . import cells, exact
 from .milp import engine as milp
-from .units import own_units
+from .units import Units, own_units
 
-CLEAR = 1e-9  # an excess of floats above this is one (relative to the size of U); below, exact arithmetic decides
+CLEAR = 1e-9  # a larger excess of floats is certain (relative to the size of U); below, exact arithmetic decides
 
 
-def require_inputs(loop, time_limit=None):
+def require_inputs(loop: ClosedLoop, time_limit: float | None = None) -> None:
     """Raise ValueError if Phi leaves U somewhere in X; the message gives a state.
 
     Parameters
     ----------
     loop : ClosedLoop
     time_limit : float or None
-        Seconds for the MILP, which is asked for more than two states; SolverStopped after that.
+        Seconds for the MILP, which decides for more than two states.
+
+    Raises
+    ------
+    ValueError
+        If Phi leaves U.
+    SolverStopped
+        If the time limit came first.
 
     Notes
     -----
-    Interval arithmetic decides it for saturated networks, which leave U by no rounding. For two states the corners
-    of the cells decide, with their rounding counted and without rounding where that leaves a doubt. For more states
-    it is the MILP, to within 1e-7 of the size of U.
+    Interval arithmetic decides for saturated networks, which do not leave U even by rounding. For two states the
+    corners of the cells decide: in floats with their rounding counted, and in rational arithmetic where that does not
+    suffice. For more states the MILP decides, to within 1e-7 of the size of U.
     """
     x = violating_state(loop, loop.system.input_set, time_limit)
     if x is not None:
@@ -37,7 +47,7 @@ def require_inputs(loop, time_limit=None):
         raise ValueError(input_message(max((U.H @ u - U.h).max(), 0), x, u))
 
 
-def violating_state(loop, U, time_limit=None):
+def violating_state(loop: ClosedLoop, U: Polytope, time_limit: float | None = None) -> Array | None:
     """A state (n,) of X whose input lies outside the Polytope U, or None."""
     units = own_units(loop)
     own, U = units.loop, _inputs_in_units(units, U)
@@ -52,12 +62,13 @@ def violating_state(loop, U, time_limit=None):
 
 
 @lru_cache(maxsize=128)
-def _inputs_in_units(units, U):
+def _inputs_in_units(units: Units, U: Polytope) -> Polytope:
+    """A Polytope of inputs in the units of the loop."""
     return U.in_units(units.inputs)
 
 
 @lru_cache(maxsize=128)
-def _in_the_plane(network, regions, X, U):
+def _in_the_plane(network: MaxoutNetwork, regions: tuple[Polytope, ...], X: Polytope, U: Polytope) -> Array | None:
     """A state (2,) of X whose input lies outside U, or None."""
     most, excess, x = cells.input_excess(network, regions, X, U)
     if most <= 0:
@@ -65,20 +76,20 @@ def _in_the_plane(network, regions, X, U):
     if excess > CLEAR:
         return x
     found = exact.highest_inputs(network, X, binary(U.H))
-    for (value, x), limit in zip(found, binary(U.h)):
+    for (value, state), limit in zip(found, binary(U.h)):
         if value > limit:
-            return np.array([nearest(entry) for entry in x])
+            return np.array([nearest(entry) for entry in state])
     return None
 
 
 @lru_cache(maxsize=128)
-def _in_space(loop, U, time_limit):
-    """As `_in_the_plane`, for any number of states."""
+def _in_space(loop: ClosedLoop, U: Polytope, time_limit: float | None) -> Array | None:
+    """A state (n,) of X whose input lies outside U, or None, for any n."""
     return milp.violating_state(loop, U, time_limit=time_limit)
 
 
 @lru_cache(maxsize=128)
-def _by_intervals(network, X, U):
+def _by_intervals(network: MaxoutNetwork, X: Polytope, U: Polytope) -> bool:
     """Whether interval arithmetic shows that Phi(x) lies in U for every x in X, its rounding counted."""
     low, high = X.bounding_box()
     around = 2.0**-40 * np.maximum(np.abs(low), np.abs(high))
@@ -90,10 +101,14 @@ def _by_intervals(network, X, U):
     return bool((_range(U.H, np.zeros(len(U.h)), low, high)[1] <= U.h).all())
 
 
-def _range(W, b, low, high):
-    """Limits of W y + b over low <= y <= high; a row with one term, a power of two times it, is not rounded."""
+def _range(W: Array, b: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Bounds of W y + b over low <= y <= high, rounded outward.
+
+    A row whose only term is a power of two times an entry of y is exact.
+    """
     up, down = np.maximum(W, 0), np.minimum(W, 0)
-    most, least = up @ high + down @ low + b, up @ low + down @ high + b
+    most = up @ high + down @ low + b
+    least = up @ low + down @ high + b
     size = np.abs(W) @ np.maximum(np.abs(low), np.abs(high)) + np.abs(b)
     terms = (W != 0).sum(axis=1) + (b != 0)
     simple = (terms <= 1) & ((W == 0) | (np.abs(np.frexp(W)[0]) == 0.5)).all(axis=1)

@@ -12,7 +12,7 @@ ENGINES: dict[str, type[Engine]] = {kind.name: kind for kind in (Cells, Milp, Ex
 
 
 def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
-    """The engine that answers for a loop.
+    """The Engine object for a loop.
 
     Parameters
     ----------

@@ -1,23 +1,36 @@
 """Single steps of a loop in rational arithmetic, for any number of states: what a refutation rests on.
 
-Floats find a state and a mode. Around the state the loop is affine, on a polytope whose rows are known without
-rounding, and one linear program over the rationals gives the state of it that goes farthest.
+Floats give a state and a mode. Around the state the loop is affine, on a polytope whose rows are rational, and one
+linear program over the rationals gives the state of that polytope whose successor is largest along a direction.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import binary, dot, fractions, maximize, nearest, rational, strict_point
-from .base import Escape, replay
+from ..sets.polytope import Polytope
+from ..systems.loop import ClosedLoop
+from ..systems.network import MaxoutNetwork
+from ..systems.pwa import Mode
+from ..typing import Array, Rational
+from .base import Escape, Witness, replay
 
-INWARD = 2.0**-30  # share of the way to the middle of a set by which a state is moved, for rounding to be far below
+INWARD = 2.0**-30  # share of the way to a point of F by which a state is moved inward, far above rounding
 PULLS = 2.0 ** np.arange(-54, -9, 4)  # shares of the way to the middle of a cell that a rounded state is moved
 
+Row = tuple[tuple[Rational, ...], Rational]  # (a, b), the half-space a x <= b
+Form = tuple[Rational, ...]  # (a, c), the affine function a x + c
 
-def successor(loop, state, mode, disturbance):
+
+def successor(
+    loop: ClosedLoop, state: Sequence[Fraction], mode: int, disturbance: Sequence[Fraction]
+) -> tuple[Fraction, ...]:
     """A x + B Phi(x) + p + d of a mode, without rounding.
 
     Parameters
@@ -32,35 +45,168 @@ def successor(loop, state, mode, disturbance):
     tuple of n Fraction
     """
     x, d = rational(list(state)), rational(list(disturbance))
-    u = inputs(loop.network, x)
-    A, B, p = (binary(getattr(loop.system.modes[mode], name)) for name in "ABp")
-    return fractions([dot(A[i], x) + dot(B[i], u) + p[i] + d[i] for i in range(len(x))])
+    xu = (*x, *inputs(loop.network, x))
+    return fractions([value + part for value, part in zip(values(dynamics(loop.system.modes[mode]), xu), d)])
 
 
-def inputs(network, x):
+def inputs(network: MaxoutNetwork, x: Sequence[Rational]) -> list[Rational]:
     """Phi(x) of a state (n,) of fmpq: list of fmpq."""
-    return _apply(network, with_one(x))[0]
+    *hidden, output = matrices(network)
+    y = _with_one(x)
+    for layer, weight in zip(network.hidden, hidden):
+        z = _column(weight * y)
+        y = _with_one([z[j] for j in _winners(z, layer.pool)])
+    return _column(output * y)
 
 
-def with_bias(weight, bias):
+def with_bias(weight: Array, bias: Array) -> Any:
     """(W, b) as an fmpq_mat."""
     rows = np.column_stack([weight, bias])
     return flint().fmpq_mat(*rows.shape, list(binary(rows.ravel())))
 
 
 @lru_cache(maxsize=64)
-def matrices(network):
+def matrices(network: MaxoutNetwork) -> list[Any]:
     """(W, b) of every hidden layer and of the output, as fmpq_mat."""
     return [with_bias(layer.weight, layer.bias) for layer in (*network.hidden, network)]
 
 
-def with_one(x):
+@lru_cache(maxsize=1024)
+def dynamics(mode: Mode) -> list[Form]:
+    """The rows of A x + B u + p as affine functions of (x, u)."""
+    return [binary(row) for row in np.column_stack([mode.A, mode.B, mode.p])]
+
+
+def values(forms: Sequence[Form], y: Sequence[Rational]) -> list[Rational]:
+    """The values of affine functions at y."""
+    return [dot(form, y) + form[-1] for form in forms]
+
+
+class NetworkPiece(NamedTuple):
+    """Phi on the affine piece around a point, composed with an affine map x = E y + e.
+
+    Attributes
+    ----------
+    output : list of Form
+        Phi(E y + e) as affine functions of y.
+    rows : list of Row
+        The y for which the same channels are largest.
+    winners : list of int
+        The largest channel of every neuron, layer by layer; the first of those that tie.
+    """
+
+    output: list[Form]
+    rows: list[Row]
+    winners: list[int]
+
+
+def network_piece(network: MaxoutNetwork, y: Sequence[Rational], forms: Sequence[Form]) -> NetworkPiece:
+    """The NetworkPiece around the point y (k,), for x = E y + e given as affine functions of y."""
+    *hidden, output = matrices(network)
+    point, constant = _with_one(y), [0] * len(y) + [1]
+    affine = _stacked(forms, constant)
+    rows, winners = [], []
+    for layer, weight in zip(network.hidden, hidden):
+        product = weight * affine
+        z, won = product.tolist(), _winners(_column(product * point), layer.pool)
+        for neuron, j in enumerate(won):
+            for i in range(neuron * layer.pool, (neuron + 1) * layer.pool):
+                if i != j:
+                    *a, b = (other - own for other, own in zip(z[i], z[j]))
+                    rows.append((tuple(a), -b))
+        winners += won
+        affine = _stacked([z[j] for j in won], constant)
+    return NetworkPiece([tuple(row) for row in (output * affine).tolist()], rows, winners)
+
+
+def composed(forms: Sequence[Form], inner: Sequence[Form]) -> list[Form]:
+    """Affine functions of affine functions."""
+    columns = list(zip(*inner))
+    return [(*(dot(form, column) for column in columns[:-1]), dot(form, columns[-1]) + form[-1]) for form in forms]
+
+
+def composed_rows(rows: Sequence[Row], inner: Sequence[Form]) -> list[Row]:
+    """The half-spaces in which affine functions satisfy the rows (a, b)."""
+    columns = list(zip(*inner))
+    return [(tuple(dot(a, column) for column in columns[:-1]), b - dot(a, columns[-1])) for a, b in rows]
+
+
+def identity(n: int) -> list[Form]:
+    """The coordinates of R^n as affine functions."""
+    one, zero = flint().fmpq(1), flint().fmpq(0)
+    return [tuple(one if i == j else zero for j in range(n + 1)) for i in range(n)]
+
+
+def _with_one(x: Sequence[Rational]) -> Any:
     """A point as a column of an fmpq_mat, 1 below it."""
     return flint().fmpq_mat(len(x) + 1, 1, [*x, 1])
 
 
-def farthest_step(loop, F, v, x, mode):
-    """The step that goes farthest along v, from a state of F on the affine piece of the loop around x.
+def _stacked(forms: Sequence[Sequence[Rational]], last: Sequence[int]) -> Any:
+    """Affine functions as the rows of an fmpq_mat, `last` below them."""
+    return flint().fmpq_mat(len(forms) + 1, len(last), [entry for form in (*forms, last) for entry in form])
+
+
+def _column(product: Any) -> list[Rational]:
+    """The entries of an fmpq_mat with one column."""
+    return [row[0] for row in product.tolist()]
+
+
+def _winners(z: Sequence[Rational], pool: int) -> list[int]:
+    """The index of the largest channel of each neuron, the first of those that tie."""
+    return [max(range(first, first + pool), key=z.__getitem__) for first in range(0, len(z), pool)]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A step in rational numbers.
+
+    Attributes
+    ----------
+    value : fmpq
+        v x+ of it.
+    state : tuple of n fmpq
+    mode : int
+    disturbance : tuple of n fmpq
+    piece : pair
+        Rows (H, h) of the states of F on whose affine piece the state lies.
+    """
+
+    value: Rational
+    state: tuple[Rational, ...]
+    mode: int
+    disturbance: tuple[Rational, ...]
+    piece: tuple[Sequence[tuple[Rational, ...]], Sequence[Rational]]
+
+    def escape(self, loop: ClosedLoop) -> Escape:
+        """The Escape of this step."""
+        x, d = fractions(self.state), fractions(self.disturbance)
+        return Escape(x, self.mode, d, successor(loop, x, self.mode, d))
+
+    def witness(self, loop: ClosedLoop, v: Array, limit: float) -> Witness:
+        """A Witness that exceeds `limit` along v without rounding, from a state whose floats lie in F.
+
+        Where no floats do that, such as on a flat F, it is the step rounded to floats. `exact` is the step itself.
+        """
+        return replace(self._in_floats(loop, v, limit), exact=self.escape(loop))
+
+    def _in_floats(self, loop: ClosedLoop, v: Array, limit: float) -> Witness:
+        """The Witness of `witness`, without `exact`."""
+        D = loop.system.modes[self.mode].disturbance
+        middle = strict_point((), (), *self.piece), strict_point((), (), *D.exact)
+        for share in (0.0, *PULLS):
+            x, d = (_pulled(end, to, share) for end, to in zip((self.state, self.disturbance), middle))
+            inside = all(dot(a, binary(x)) <= b for a, b in zip(*self.piece))
+            if inside and all(dot(a, binary(d)) <= b for a, b in zip(*D.exact)):
+                after = rational(list(successor(loop, fractions(binary(x)), self.mode, fractions(binary(d)))))
+                if dot(binary(v), after) > binary(limit):
+                    return replay(loop, x, [self.mode], [d])
+        x, d = (np.array([nearest(entry) for entry in part]) for part in (self.state, self.disturbance))
+        return replay(loop, x, [self.mode], [d])
+
+
+def farthest_step(loop: ClosedLoop, F: Polytope, v: Array, x: Array, mode: int) -> Step | None:
+    """The step with the largest v x+ from a state of F on the affine piece of the loop around x.
 
     Parameters
     ----------
@@ -76,127 +222,49 @@ def farthest_step(loop, F, v, x, mode):
     Step, or None
         None where the piece of x does not meet F & X and the region.
     """
-    H, h, M, c = _piece(loop, F, x, mode)
-    objective = [dot(binary(v), column) for column in zip(*M)]
-    x = binary(x)
-    slack = np.array([nearest(b - dot(a, x)) for a, b in zip(H, h)])
+    rows, after = _piece(loop, F, x, mode)
+    H, h = zip(*rows)
+    direction, state = binary(v), binary(x)
+    *objective, constant = (dot(direction, column) for column in zip(*after))
+    slack = np.array([nearest(b - dot(a, state)) for a, b in rows])
     best = maximize(H, h, objective, np.argsort(slack, kind="stable")[: len(x)].tolist())
     if best.point is None:
         return None
-    D = loop.system.modes[mode].disturbance
-    pushed = maximize(binary(D.H), binary(D.h), binary(v))
-    value = best.value + dot(binary(v), c) + pushed.value
-    return Step(value, best.point, mode, pushed.point, (H, h))
+    of_d, limits = loop.system.modes[mode].disturbance.exact
+    pushed = maximize(of_d, limits, direction)
+    return Step(best.value + constant + pushed.value, best.point, mode, pushed.point, (H, h))
 
 
-def attained(loop, F, v, witness):
-    """v x+ of the first step of a witness, moved a little into F: an fmpq, or None if that is no step from F.
+def attained(loop: ClosedLoop, F: Polytope, v: Array, witness: Witness) -> Rational | None:
+    """v x+ of the first step of a witness, moved slightly into F: an fmpq, or None if that is no step from F.
 
-    F is not empty. It is quicker than `farthest_step`, and lower by the little that the state was moved.
+    F is not empty. This is faster than `farthest_step`, and its value is slightly lower, since the state is moved.
     """
     mode, d = loop.system.modes[int(witness.modes[0])], witness.disturbances[0]
     x = witness.states[0]
     x = x + INWARD * (np.array([nearest(entry) for entry in F.point]) - x)
     if not (F.contains(x) and loop.system.state_set.contains(x) and mode.disturbance.contains(d)):
         return None
-    x = binary(x)
-    u = inputs(loop.network, x)
-    if any(dot(a, [*x, *u]) > b for a, b in zip(*mode.region.exact)):
+    state = binary(x)
+    xu = (*state, *inputs(loop.network, state))
+    if any(dot(a, xu) > b for a, b in zip(*mode.region.exact)):
         return None
-    after = successor(loop, fractions(x), int(witness.modes[0]), fractions(binary(d)))
-    return dot(binary(v), rational(after))
+    after = [value + part for value, part in zip(values(dynamics(mode), xu), binary(d))]
+    return dot(binary(v), after)
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """A step in rational numbers.
-
-    Attributes
-    ----------
-    value : fmpq
-        v x+ of it.
-    state, disturbance : tuple of n fmpq
-    mode : int
-    piece : pair
-        Rows (H, h) of the states of F on whose affine piece the state lies.
-    """
-
-    value: object
-    state: tuple
-    mode: int
-    disturbance: tuple
-    piece: tuple
-
-    def escape(self, loop):
-        """The Escape of this step."""
-        x, d = fractions(self.state), fractions(self.disturbance)
-        return Escape(x, self.mode, d, successor(loop, x, self.mode, d))
-
-    def witness(self, loop, v, limit):
-        """A Witness that passes `limit` along v without rounding, from a state that lies in F as the floats that it is.
-
-        Where no floats do that, such as on a flat F, it is the step rounded to floats. `exact` is the step itself.
-        """
-        return replace(self._in_floats(loop, v, limit), exact=self.escape(loop))
-
-    def _in_floats(self, loop, v, limit):
-        D = loop.system.modes[self.mode].disturbance
-        rows_d = binary(D.H), binary(D.h)
-        middle = strict_point((), (), *self.piece), strict_point((), (), *rows_d)
-        for share in (0.0, *PULLS):
-            x, d = (_pulled(end, to, share) for end, to in zip((self.state, self.disturbance), middle))
-            inside = all(dot(a, binary(x)) <= b for a, b in zip(*self.piece))
-            if inside and all(dot(a, binary(d)) <= b for a, b in zip(*rows_d)):
-                after = rational(list(successor(loop, fractions(binary(x)), self.mode, fractions(binary(d)))))
-                if dot(binary(v), after) > binary(limit):
-                    return replay(loop, x, [self.mode], [d])
-        x, d = (np.array([nearest(entry) for entry in part]) for part in (self.state, self.disturbance))
-        return replay(loop, x, [self.mode], [d])
-
-
-def _pulled(point, middle, share):
+def _pulled(point: Sequence[Rational], middle: Sequence[Rational] | None, share: float) -> Array:
     """A point moved by a share of the way to the middle, in floats."""
     if middle is not None and share:
-        share = binary(share)
-        point = [entry + share * (to - entry) for entry, to in zip(point, middle)]
+        part = binary(share)
+        point = [entry + part * (to - entry) for entry, to in zip(point, middle)]
     return np.array([nearest(entry) for entry in point])
 
 
-def _piece(loop, F, x, mode):
-    """The states of F & X in the region of a mode, on the affine piece of x: rows H, h; and x+ = M x + c on it."""
-    n, system = len(x), loop.system
-    identity = flint().fmpq_mat(n + 1, n + 1, [int(i == j) for i in range(n + 1) for j in range(n + 1)])
-    _, output, rows = _apply(loop.network, with_one(binary(x)), identity)
-    region, (A, B, p) = system.modes[mode].region, (binary(getattr(system.modes[mode], name)) for name in "ABp")
-    rows += [(a, b) for P in (F, system.state_set) for a, b in zip(binary(P.H), binary(P.h))]
-    for a, b in zip(binary(region.H), binary(region.h)):
-        of_u = [dot(a[n:], column) for column in zip(*output)]
-        rows.append((tuple(own + part for own, part in zip(a[:n], of_u)), b - of_u[n]))
-    closed = [[dot(row, column) for column in zip(*output)] for row in B]
-    M = [tuple(own + part for own, part in zip(row, of_u)) for row, of_u in zip(A, closed)]
-    c = [of_u[n] + offset for of_u, offset in zip(closed, p)]
-    H, h = zip(*rows)
-    return H, h, M, c
-
-
-def _apply(network, y, affine=None):
-    """Phi at a point y (n + 1, 1); with `affine`, also (K, g) of its piece and the rows (a, b) of where it holds."""
-    rows = []
-    for layer, weight in zip(network.hidden, matrices(network)):
-        values = [row[0] for row in (weight * y).tolist()]
-        groups = [range(start, start + layer.pool) for start in range(0, len(values), layer.pool)]
-        won = [max(group, key=values.__getitem__) for group in groups]
-        y = flint().fmpq_mat(layer.width + 1, 1, [*(values[j] for j in won), 1])
-        if affine is not None:
-            z = (weight * affine).tolist()
-            last = affine.tolist()[-1]
-            for group, j in zip(groups, won):
-                for i in group:
-                    if i != j:
-                        *a, b = (other - own for other, own in zip(z[i], z[j]))
-                        rows.append((tuple(a), -b))
-            entries = [entry for j in won for entry in z[j]] + last
-            affine = flint().fmpq_mat(layer.width + 1, len(last), entries)
-    weight = matrices(network)[-1]
-    u = [row[0] for row in (weight * y).tolist()]
-    return u, None if affine is None else (weight * affine).tolist(), rows
+def _piece(loop: ClosedLoop, F: Polytope, x: Array, mode: int) -> tuple[list[Row], list[Form]]:
+    """The states of F & X in the region of a mode, on the affine piece of x: rows; and x+ on it, without d."""
+    acting, start = loop.system.modes[mode], identity(len(x))
+    piece = network_piece(loop.network, binary(x), start)
+    xu = [*start, *piece.output]
+    rows = [*piece.rows, *zip(*F.exact), *zip(*loop.system.state_set.exact)]
+    return rows + composed_rows(list(zip(*acting.region.exact)), xu), composed(dynamics(acting), xu)

@@ -1,13 +1,15 @@
 """A closed loop in units of its own, so that no answer depends on the units of its user.
 
 With x = s x' and u = t u', one power of two for each state and each input, every number of the loop is scaled
-exactly. The powers are chosen so that X and U reach to between 1/2 and 1 along every axis; rows of H are scaled so that
-their largest entry does, and so is every hidden neuron, for a maximum scales with its channels. Loops that differ in
-units alone become the same loop, bit by bit, and a tolerance relative to 1 is one relative to the size of X.
+exactly. The powers are chosen so that the largest |x_i| over X and the largest |u_i| over U lie between 1/2 and 1. Rows
+of H are scaled so that their largest entry lies there, and hidden neurons so that |q| <= 1 over X, since a maximum
+scales with its channels. Loops that differ only in units become the same loop, bit by bit, and a tolerance relative to
+1 is relative to the size of X.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,7 +19,10 @@ from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.network import Layer, MaxoutNetwork
 from ..systems.pwa import Mode, PWASystem
-from .base import Lazily, Support, Witness
+from ..typing import Array
+from .base import LazySequence, Query, Support, Witness
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,32 +39,32 @@ class Units:
     """
 
     loop: ClosedLoop
-    state: np.ndarray
-    inputs: np.ndarray
+    state: Array
+    inputs: Array
 
-    def rows(self, V):
+    def rows(self, V: Array) -> tuple[Array, Array]:
         """V' (k, n) and the powers of two `factor` (k,) with V' x' = factor V x."""
         return _rows(self, V.shape, V.tobytes())
 
-    def polytope(self, P):
+    def polytope(self, P: Polytope) -> Polytope:
         """A Polytope of states in these units."""
         H, factor = self.rows(P.H)
         return _made(Polytope, H=H, h=np.minimum(np.maximum(P.h * factor, -LARGEST), LARGEST))
 
-    def states(self, x):
+    def states(self, x: Array) -> Array:
         """States (..., n) of these units in those of the user."""
         return x * self.state
 
-    def witness(self, found):
+    def witness(self, found: Witness | None) -> Witness | None:
         """A Witness in the units of the user."""
         if found is None:
             return None
         states, disturbances = found.states * self.state, found.disturbances * self.state
         return Witness(states, found.inputs * self.inputs, found.modes, disturbances)
 
-    def support(self, found, factor, resolution, query=None):
+    def support(self, found: Support, factor: Array, resolution: float, query: Query | None = None) -> Support:
         """A Support along rows V' in the units of the user, along V."""
-        witness = Lazily(len(factor), lambda k: self.witness(found.witness[k]))
+        witness = LazySequence(len(factor), lambda k: self.witness(found.witness[k]))
         return Support(
             found.value / factor,
             found.bound / factor,
@@ -70,7 +75,9 @@ class Units:
             query=query,
         )
 
-    def stopped(self, stop, factor, resolution, query=None):
+    def stopped(
+        self, stop: SolverStopped, factor: Array, resolution: float, query: Query | None = None
+    ) -> SolverStopped:
         """A SolverStopped whose support is in the units of the user."""
         k = len(factor)
         found = stop.support or Support(np.full(k, -np.inf), np.full(k, np.inf), (None,) * k)
@@ -78,7 +85,7 @@ class Units:
 
 
 @lru_cache(maxsize=128)
-def own_units(loop):
+def own_units(loop: ClosedLoop) -> Units:
     """The Units of a closed loop: the same object for the same loop.
 
     Raises
@@ -106,34 +113,38 @@ def own_units(loop):
 
 
 @lru_cache(maxsize=128)
-def _parts(network, regions, X, U):
-    """What loops with other A, B, p and disturbances share: network, regions, X and U in units s and t, and these."""
-    s, t = X.reach, U.reach
+def _parts(
+    network: MaxoutNetwork, regions: tuple[Polytope, ...], X: Polytope, U: Polytope
+) -> tuple[MaxoutNetwork, tuple[Polytope, ...], Polytope, Polytope, Array, Array]:
+    """The parts that loops with other A, B, p and D share: network, regions, X and U in the units s and t; s; t."""
+    s = X.half_width
+    t = U.half_width
     both = np.concatenate([s, t])
     return _network(network, s, t), tuple(P.in_units(both) for P in regions), X.in_units(s), U.in_units(t), s, t
 
 
-def _network(network, s, t):
+def _network(network: MaxoutNetwork, s: Array, t: Array) -> MaxoutNetwork:
     """The network from x' to u', its neurons scaled to |q'| <= 1 over |x'| <= 1 by interval arithmetic."""
-    scale, hidden = s, []
+    scale = s
+    hidden: list[Layer] = []
     for layer in network.hidden:
         weight = times(layer.weight, scale)
         extent = (np.abs(weight).sum(axis=1) + np.abs(layer.bias)).reshape(layer.width, layer.pool).max(axis=1)
         scale = power_of_two(extent)
         own = 1 / np.repeat(scale, layer.pool)
         hidden.append(Layer(times(weight, own[:, None]), times(layer.bias, own), layer.pool))
-    return MaxoutNetwork(hidden, times(network.weight, scale / t[:, None]), times(network.bias, 1 / t))
+    return MaxoutNetwork(tuple(hidden), times(network.weight, scale / t[:, None]), times(network.bias, 1 / t))
 
 
 @lru_cache(maxsize=128)
-def _rows(units, shape, content):
+def _rows(units: Units, shape: tuple[int, ...], content: bytes) -> tuple[Array, Array]:
     """`Units.rows` of an array with this shape and content."""
     scaled, factor = normal_rows(times(np.frombuffer(content).reshape(shape), units.state))
     scaled.setflags(write=False)
     return scaled, factor
 
 
-def _made(kind, **fields):
+def _made(kind: type[T], **fields: Any) -> T:
     """An object of a frozen class whose fields need no check: they are exact multiples of checked ones."""
     made = object.__new__(kind)
     for name, value in fields.items():

@@ -256,15 +256,9 @@ class ConvexSet:
         >>> from mireach import Polytope
         >>> Polytope.box([0, 0], [1, 2]).support_vector([1, 1])
         array([1., 2.])
-
-        Notes
-        -----
-        `farthest` is the same method.
         """
         point = self.exact_maximum(v).point
         return None if point is None else np.array([nearest(entry) for entry in point])
-
-    farthest = support_vector
 
     @cached_property
     def exact(self) -> tuple[tuple[tuple[Rational, ...], ...], tuple[Rational, ...]]:

@@ -261,8 +261,6 @@ class Polytope(ConvexSet):
         """For each axis the smallest power of two that a bounded P nowhere exceeds, up to rounding: array (n,)."""
         return power_of_two(np.abs(self.bounding_box()).max(axis=0))
 
-    reach = half_width
-
     @property
     def area(self) -> float:
         """Of a bounded set of the plane, in units of x1 times x2; 0 for flat and empty ones.

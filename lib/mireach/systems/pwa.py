@@ -386,7 +386,7 @@ def _check_constraint(value: Polytope, name: str, size: int) -> None:
 @lru_cache(maxsize=64)
 def _check_partition(regions: tuple[Polytope, ...], state_set: Polytope, input_set: Polytope) -> None:
     """Raise ValueError unless the regions cover X x U without overlap (the text after eq. (2), HRep)."""
-    scale = np.concatenate([state_set.reach, input_set.reach])
+    scale = np.concatenate([state_set.half_width, input_set.half_width])
     domain, n = state_set.product(input_set).in_units(scale), state_set.dimension
     scaled = [region.in_units(scale) for region in regions]
     parts = [domain & region for region in scaled]

@@ -1,18 +1,26 @@
-"""Affine bounds of the closed loop on many boxes at once: which channels can win, which modes are met, how far it gets.
+"""Affine bounds of the closed loop on many boxes at once: channels that can win, modes that can act, values of v x(k).
 
 Trajectories are functions of w = (x(0), d(0), ..., d(k - 2)); the last disturbance only adds its support function.
-On a box of w every quantity lies between two affine functions of w, carried from layer to layer by sign. Where one
-channel wins on the whole box, both follow it, so that the bounds become exact as boxes shrink.
+On a box of w every quantity lies between two affine functions of w, which are propagated from layer to layer by the
+signs of the weights. Where one channel wins on the whole box, both are that channel, so that the bounds become exact as
+boxes shrink.
 
 All bounds hold for the loop in real arithmetic, whatever the sizes of the weights: the rounding errors of each function
 are bounded by the sizes of the terms that were summed up, before they cancel, and move its constant outward.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from ...sets.polytope import Polytope
 from ...solvers.weak_duality import ROUNDOFF
+from ...systems.loop import ClosedLoop
+from ...systems.network import Layer
+from ...systems.pwa import PWASystem
+from ...typing import Array, BoolArray, IntArray
 from ..bounds import proven_box
 
 ON_BOUNDARY = 1e-8  # a mode whose rows are violated by less than this and rounding counts as met (units of h)
@@ -27,23 +35,33 @@ class Boxes:
     lower, upper : array (B, D)
     """
 
-    lower: np.ndarray
-    upper: np.ndarray
+    lower: Array
+    upper: Array
 
-    def __post_init__(self):
-        object.__setattr__(self, "middle", (self.lower + self.upper) / 2)
-        object.__setattr__(self, "reach", (self.upper - self.lower) / 2)
-        object.__setattr__(self, "size", np.maximum(np.abs(self.lower), np.abs(self.upper)))
+    @cached_property
+    def middle(self) -> Array:
+        """The middles of the boxes: (B, D)."""
+        return (self.lower + self.upper) / 2
 
-    def __len__(self):
+    @cached_property
+    def half_width(self) -> Array:
+        """Half the width of each box along each axis: (B, D)."""
+        return (self.upper - self.lower) / 2
+
+    @cached_property
+    def size(self) -> Array:
+        """The largest |w_i| on each box: (B, D)."""
+        return np.maximum(np.abs(self.lower), np.abs(self.upper))
+
+    def __len__(self) -> int:
         return len(self.lower)
 
-    def take(self, chosen):
-        """The boxes with the given indices."""
+    def take(self, chosen: Sequence[int] | IntArray | BoolArray) -> "Boxes":
+        """The boxes with the given indices, or where a mask is True."""
         return Boxes(self.lower[chosen], self.upper[chosen])
 
-    def split(self, axis, overlap):
-        """Both halves of every box along its own axis (B,), which overlap by twice `overlap` times 1 + |where|."""
+    def split(self, axis: IntArray, overlap: float) -> "Boxes":
+        """Both halves of every box along its own axis (B,). They overlap by 2 `overlap` (1 + |w_axis|)."""
         rows = np.arange(len(self))
         where = self.middle[rows, axis]
         lower, upper = self.lower.copy(), self.upper.copy()
@@ -51,16 +69,16 @@ class Boxes:
         upper[rows, axis] = where + overlap * (1 + np.abs(where))
         return Boxes(np.concatenate([self.lower, lower]), np.concatenate([upper, self.upper]))
 
-    def within(self, box):
-        """The parts of the boxes in the first of other Boxes, and the indices of those that reach into it."""
+    def within(self, box: "Boxes") -> tuple["Boxes", IntArray]:
+        """The intersections with the first box of other Boxes, and the indices of the boxes that meet it."""
         lower, upper = np.maximum(self.lower, box.lower[0]), np.minimum(self.upper, box.upper[0])
         chosen = np.flatnonzero((lower <= upper).all(axis=1))
         return Boxes(lower[chosen], upper[chosen]), chosen
 
-    def meets(self, P):
-        """Whether no single row of the Polytope P separates it from the box, by the first n coordinates: (B,)."""
+    def meets(self, P: Polytope) -> BoolArray:
+        """Whether no single row of the Polytope P separates P from the first n coordinates of a box: (B,)."""
         n = P.dimension
-        nearest = self.middle[:, :n] @ P.H.T - self.reach[:, :n] @ np.abs(P.H).T
+        nearest = self.middle[:, :n] @ P.H.T - self.half_width[:, :n] @ np.abs(P.H).T
         nearest -= 2 * _rounding(n) * (self.size[:, :n] @ np.abs(P.H).T)
         return (nearest <= P.h + ON_BOUNDARY * (1 + np.abs(P.h))).all(axis=1)
 
@@ -75,36 +93,36 @@ class Values:
         Coefficients of w, then the constant.
     least, most : array (r, B)
     size : array (r, B)
-        The sum of sizes of the terms of `low` and of `high`, wherever w is in the box.
+        An upper bound over the box of the sum of |terms| of `low`, and of `high`.
     """
 
-    low: np.ndarray
-    high: np.ndarray
-    least: np.ndarray
-    most: np.ndarray
-    size: np.ndarray
+    low: Array
+    high: Array
+    least: Array
+    most: Array
+    size: Array
 
     @staticmethod
-    def of(boxes, low, high, least, most):
-        """With `size` found out."""
+    def of(boxes: Boxes, low: Array, high: Array, least: Array, most: Array) -> "Values":
+        """Values with their `size` computed."""
         size = _terms(boxes, high)
         return Values(low, high, least, most, size if low is high else np.maximum(size, _terms(boxes, low)))
 
     @property
-    def largest(self):
+    def largest(self) -> Array:
         """Largest size of each value: (r, B)."""
         return np.maximum(np.abs(self.least), np.abs(self.most))
 
-    def join(self, other):
+    def join(self, other: "Values") -> "Values":
         """The quantities of both."""
         return Values(*(np.concatenate(pair) for pair in zip(self._parts, other._parts)))
 
-    def at(self, box):
+    def at(self, box: int) -> "Values":
         """The quantities on one box."""
         return Values(*(part[:, box] for part in self._parts))
 
     @property
-    def _parts(self):
+    def _parts(self) -> tuple[Array, ...]:
         return self.low, self.high, self.least, self.most, self.size
 
 
@@ -115,25 +133,25 @@ class LayerBounds:
     Attributes
     ----------
     alive : array (w, p, B) of bool
-        Channels that may win; one of those that tie everywhere.
+        Channels that may win. Of channels that tie everywhere only one counts.
     ahead : array (w, p, p, B)
-        ahead[l, i, j] >= z_i - z_j of neuron l.
+        Upper bounds: ahead[l, i, j] >= z_i - z_j of neuron l.
     least, most : array (w, B)
         Range of each neuron.
     """
 
-    alive: np.ndarray
-    ahead: np.ndarray
-    least: np.ndarray
-    most: np.ndarray
+    alive: BoolArray
+    ahead: Array
+    least: Array
+    most: Array
 
-    def neuron(self, index):
+    def neuron(self, index: int) -> "LayerBounds":
         """Bounds of one neuron."""
-        return LayerBounds(*(part[index] for part in (self.alive, self.ahead, self.least, self.most)))
+        return LayerBounds(self.alive[index], self.ahead[index], self.least[index], self.most[index])
 
-    def at(self, box):
+    def at(self, box: int) -> "LayerBounds":
         """Bounds on one box."""
-        return LayerBounds(*(part[..., box] for part in (self.alive, self.ahead, self.least, self.most)))
+        return LayerBounds(self.alive[..., box], self.ahead[..., box], self.least[..., box], self.most[..., box])
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,10 +169,10 @@ class StepBounds:
 
     state: Values
     inputs: Values
-    layers: list
-    met: np.ndarray
+    layers: list[LayerBounds]
+    met: BoolArray
 
-    def at(self, box):
+    def at(self, box: int) -> "StepBounds":
         """Bounds on one box."""
         layers = [layer.at(box) for layer in self.layers]
         return StepBounds(self.state.at(box), self.inputs.at(box), layers, self.met[:, box])
@@ -171,20 +189,20 @@ class LoopBounds:
     possible : array (B,) of bool
         False where a state of the trajectory certainly leaves X.
     doubt : array (B, D)
-        How much each coordinate of w contributes to what is still open; where to split.
+        How much each coordinate of w contributes to the gap of the bounds; boxes are split along the largest.
     """
 
     boxes: Boxes
-    steps: list
-    possible: np.ndarray
-    doubt: np.ndarray
+    steps: list[StepBounds]
+    possible: BoolArray
+    doubt: Array
 
-    def at(self, box):
-        """The StepBounds of one box."""
+    def at(self, box: int) -> list[StepBounds]:
+        """The StepBounds of one box, step by step."""
         return [step.at(box) for step in self.steps]
 
     @property
-    def binaries(self):
+    def binaries(self) -> IntArray:
         """Binary variables that a MILP over each box needs: (B,)."""
         count = np.zeros(len(self.boxes), int)
         for step in self.steps:
@@ -193,8 +211,8 @@ class LoopBounds:
                 count += np.where(alive > 1, alive, 0).sum(axis=0)
         return count
 
-    def highest_state(self, loop, V, spread):
-        """Upper bound of v x(k) for each row of V: (B, rows of V); -inf where no mode is met.
+    def highest_state(self, loop: ClosedLoop, V: Array, spread: Array) -> Array:
+        """Upper bound of v x(k) for each row of V: (B, rows of V); -inf where no mode can act.
 
         `spread` (s, rows of V) is the support function of the modes' disturbance sets along V.
         """
@@ -204,21 +222,22 @@ class LoopBounds:
         for mode, met, most in zip(loop.system.modes, last.met, spread):
             if not met.any():
                 continue
-            AB, count = np.hstack([mode.A, mode.B]), V.shape[1] + 2
+            AB = np.hstack([mode.A, mode.B])
+            count = V.shape[1] + 2
             weight_error = _rounding(count) * (np.abs(V) @ np.abs(AB))
             bias_error = _rounding(count) * (np.abs(V) @ np.abs(mode.p) + np.abs(most))
             error = weight_error @ xu.largest + bias_error[:, None]
-            reach = highest(self.boxes, V @ AB, V @ mode.p + most, xu)
-            reach = reach + (error + ROUNDOFF * (np.abs(reach) + error))
-            best = np.where(met, np.maximum(best, reach), best)
+            value = highest(self.boxes, V @ AB, V @ mode.p + most, xu)
+            value = value + (error + ROUNDOFF * (np.abs(value) + error))
+            best = np.where(met, np.maximum(best, value), best)
         return np.where(self.possible, best, -np.inf).T
 
-    def highest_input(self, V):
+    def highest_input(self, V: Array) -> Array:
         """Upper bound of v u(0) for each row of V: (B, rows of V)."""
         return highest(self.boxes, V, np.zeros(len(V)), self.steps[0].inputs).T
 
 
-def bound_loop(loop, boxes, steps=1):
+def bound_loop(loop: ClosedLoop, boxes: Boxes, steps: int = 1) -> LoopBounds:
     """Bounds of `steps` steps of the loop on each box of w.
 
     Parameters
@@ -232,10 +251,12 @@ def bound_loop(loop, boxes, steps=1):
     -------
     LoopBounds
     """
-    system, n = loop.system, loop.system.state_size
+    system, net = loop.system, loop.network
+    n = system.state_size
     doubt = np.zeros(boxes.lower.shape)
     possible = np.ones(len(boxes), bool)
-    state, found = _coordinates(boxes, range(n)), []
+    state = _coordinates(boxes, range(n))
+    found = []
     for j in range(steps):
         if j:
             X = system.state_set
@@ -243,13 +264,13 @@ def bound_loop(loop, boxes, steps=1):
             low, high = proven_box(X)
             least, most = np.maximum(state.least, low[:, None]), np.minimum(state.most, high[:, None])
             state = Values(state.low, state.high, least, most, state.size)
-        values, layers = state, []
-        for layer in loop.network.hidden:
+        values = state
+        layers = []
+        for layer in net.hidden:
             values, bounds = _bound_layer(layer, boxes, values, doubt)
             layers.append(bounds)
-        net = loop.network
         inputs = _affine(boxes, net.weight, net.bias, values)
-        met = _met(system, boxes, state.join(inputs), doubt)
+        met = _met(system, boxes, state.join(inputs))
         possible &= met.any(axis=0)
         found.append(StepBounds(state, inputs, layers, met))
         if j + 1 < steps:
@@ -257,7 +278,7 @@ def bound_loop(loop, boxes, steps=1):
     return LoopBounds(boxes, found, possible, doubt)
 
 
-def highest(boxes, weight, bias, values):
+def highest(boxes: Boxes, weight: Array, bias: Array, values: Values) -> Array:
     """Upper bound of weight values + bias on each box: (r, B)."""
     return _highest(boxes, _upper(weight, bias, values), weight, bias, values)
 
@@ -265,54 +286,54 @@ def highest(boxes, weight, bias, values):
 # -- parts --------------------------------------------------------------------------------------------
 
 
-def _rounding(terms):
-    """The rounding error of a sum of so many products, relative to the sum of their sizes."""
+def _rounding(terms: int) -> float:
+    """The rounding error of a sum of `terms` products, relative to the sum of their absolute values."""
     return ROUNDOFF * (terms + 8)
 
 
-def _terms(boxes, functions):
-    """The sum of sizes of the terms of affine functions (r, B, D + 1) on the boxes: (r, B)."""
+def _terms(boxes: Boxes, functions: Array) -> Array:
+    """An upper bound over the boxes of the sum of |terms| of affine functions (r, B, D + 1): (r, B)."""
     size = np.abs(functions)
     return np.einsum("rbd,bd->rb", size[..., :-1], boxes.size) + size[..., -1]
 
 
-def _coordinates(boxes, columns):
-    """Coordinates of w as values of themselves."""
+def _coordinates(boxes: Boxes, axes: range) -> Values:
+    """Coordinates of w as Values."""
     B, D = boxes.lower.shape
-    identity, columns = np.zeros((len(columns), B, D + 1)), list(columns)
+    columns = list(axes)
+    identity = np.zeros((len(columns), B, D + 1))
     identity[np.arange(len(columns)), :, columns] = 1
     return Values(identity, identity, boxes.lower.T[columns], boxes.upper.T[columns], boxes.size.T[columns])
 
 
-def _upper(weight, bias, values):
+def _upper(weight: Array, bias: Array, values: Values) -> Array:
     """Affine functions (r, B, D + 1) above weight values + bias."""
     up, down = np.maximum(weight, 0), np.minimum(weight, 0)
     found = np.tensordot(up, values.high, 1) + np.tensordot(down, values.low, 1)
-    bias, terms = np.asarray(bias)[:, None], _upper_terms(weight, bias, values)
-    found[:, :, -1] += bias + _rounding(2 * weight.shape[1]) * terms
+    found[:, :, -1] += bias[:, None] + _rounding(2 * weight.shape[1]) * _upper_terms(weight, bias, values)
     return found
 
 
-def _upper_terms(weight, bias, values):
-    """The sizes (r, B) that the rounding errors of `_upper` are relative to; they bound those of its terms."""
+def _upper_terms(weight: Array, bias: Array, values: Values) -> Array:
+    """Upper bounds (r, B) of the sum of |terms| in `_upper`; its rounding errors are relative to them."""
     return np.abs(weight) @ values.size + np.abs(bias)[:, None]
 
 
-def _highest(boxes, upper, weight, bias, values):
+def _highest(boxes: Boxes, upper: Array, weight: Array, bias: Array, values: Values) -> Array:
     """The smaller of two bounds of weight values + bias: by the affine functions `upper`, and by ranges; (r, B)."""
     slope, constant = upper[:, :, :-1], upper[:, :, -1]
     steep = np.abs(slope)
-    affine = np.einsum("rbd,bd->rb", slope, boxes.middle) + np.einsum("rbd,bd->rb", steep, boxes.reach) + constant
+    affine = np.einsum("rbd,bd->rb", slope, boxes.middle) + np.einsum("rbd,bd->rb", steep, boxes.half_width) + constant
     terms = 2 * np.einsum("rbd,bd->rb", steep, boxes.size) + np.abs(constant)
     affine += _rounding(2 * slope.shape[2]) * terms
-    up, down, bias = np.maximum(weight, 0), np.minimum(weight, 0), np.asarray(bias)[:, None]
-    ranges = up @ values.most + down @ values.least + bias
-    terms = up @ np.abs(values.most) - down @ np.abs(values.least) + np.abs(bias)
+    up, down = np.maximum(weight, 0), np.minimum(weight, 0)
+    ranges = up @ values.most + down @ values.least + bias[:, None]
+    terms = up @ np.abs(values.most) - down @ np.abs(values.least) + np.abs(bias[:, None])
     ranges += _rounding(2 * weight.shape[1]) * terms
     return np.minimum(affine, ranges)
 
 
-def _affine(boxes, weight, bias, values):
+def _affine(boxes: Boxes, weight: Array, bias: Array, values: Values) -> Values:
     """weight values + bias as Values."""
     high, low = _upper(weight, bias, values), -_upper(-weight, -bias, values)
     most = _highest(boxes, high, weight, bias, values)
@@ -320,62 +341,93 @@ def _affine(boxes, weight, bias, values):
     return Values.of(boxes, low, high, least, most)
 
 
-def _at_middle(boxes, functions):
+def _at_middle(boxes: Boxes, functions: Array) -> Array:
     """Affine functions (..., B, D + 1) at the middle of the boxes: (..., B)."""
     return np.einsum("...bd,bd->...b", functions[..., :-1], boxes.middle) + functions[..., -1]
 
 
-def _bound_layer(layer, boxes, values, doubt):
+def _bound_layer(layer: Layer, boxes: Boxes, values: Values, doubt: Array) -> tuple[Values, LayerBounds]:
     """The neurons of one layer as Values, and its LayerBounds; adds to `doubt` (B, D).
 
-    The largest channel is above each of them, and below z_r + sum of max(z_j - z_r, 0): with l <= z_j - z_r <= u,
-    the last is at most the chord u (z_j - z_r - l) / (u - l), or else the largest u stands for them all.
+    The largest channel is at least each of them, and at most z_r + sum of max(z_j - z_r, 0) for every channel r. The
+    sum is bounded by `_chords`.
     """
-    w, p, B = layer.width, layer.pool, len(boxes)
-    W, b = layer.weight.reshape(w, p, layer.weight.shape[1]), layer.bias.reshape(w, p)
-    apart = (W[:, :, None] - W[:, None]).reshape(w * p * p, W.shape[2])
-    apart_bias = (b[:, :, None] - b[:, None]).reshape(-1)
+    w, p = layer.width, layer.pool
+    channels, pairs = (w, p, len(boxes)), (w, p, p, len(boxes))
+    apart, apart_bias = _differences(layer)
     above = _upper(apart, apart_bias, values)
-    ahead = _highest(boxes, above, apart, apart_bias, values).reshape(w, p, p, B)
-    alive = np.ones((w, p, B), bool)
-    for i in range(p):
-        for j in range(p):
-            if i != j:  # z_i never exceeds z_j, which is still there
-                alive[:, i] &= ~(alive[:, j] & (ahead[:, i, j] <= 0))
-
+    ahead = _highest(boxes, above, apart, apart_bias, values).reshape(pairs)
+    alive = _alive(ahead)
     z = _affine(boxes, layer.weight, layer.bias, values)
     low, high = (part.reshape(w, p, *part.shape[1:]) for part in (z.low, z.high))
     guess = np.where(alive, _at_middle(boxes, low) + _at_middle(boxes, high), -np.inf).argmax(axis=1)  # the r above
-    neuron, box = np.arange(w)[:, None], np.arange(B)[None]
+    neuron, box = np.arange(w)[:, None], np.arange(len(boxes))[None]
     low, high = low[neuron, guess, box], high[neuron, guess, box]
     rows = np.arange(p)[None, :, None]
-    u = np.where(alive, np.maximum(ahead[neuron[:, None], rows, guess[:, None], box[None]], 0), 0)
+    versus_guess = neuron[:, None], rows, guess[:, None], box[None]  # the pairs (j, r)
+    u = np.where(alive, np.maximum(ahead[versus_guess], 0), 0)
     u[neuron, guess, box] = 0
-    open_ = u.any(axis=(1, 2))
-    if open_.any():
-        l = -ahead[neuron[:, None], guess[:, None], rows, box[None]]  # noqa: E741 - as in the docstring
-        slope = np.where(u > 0, u / np.where(u > 0, u - l, 1), 0)
-        rise = above.reshape(w, p, p, *above.shape[1:])[neuron[:, None], rows, guess[:, None], box[None]]
-        doubt += np.einsum("wpbd->bd", np.abs(rise[..., :-1]) * (u > 0)[..., None]) * boxes.reach
-        chord = slope[..., None] * rise
-        chord[..., -1] -= slope * l
-        terms = _upper_terms(apart, apart_bias, values).reshape(w, p, p, B)
-        terms = terms[neuron[:, None], rows, guess[:, None], box[None]]
-        terms = (slope * (terms + np.abs(l)) + u).sum(axis=1) + z.size.reshape(w, p, B)[neuron, guess, box]
-        chord, highest_u = chord.sum(axis=1), u.max(axis=1)
-        better = _at_middle(boxes, chord) < highest_u
-        flat = np.zeros_like(chord)
-        flat[..., -1] = highest_u
-        high = high + np.where(better[..., None], chord, flat)
-        high[..., -1] += _rounding(p) * terms
-    channels = (w, p, B)
+    if u.any():
+        l = -ahead[neuron[:, None], guess[:, None], rows, box[None]]  # noqa: E741 - as in `_chords`
+        rise = above.reshape(*pairs, -1)[versus_guess]
+        doubt += np.einsum("wpbd->bd", np.abs(rise[..., :-1]) * (u > 0)[..., None]) * boxes.half_width
+        added, terms = _chords(boxes, rise, l, u, _upper_terms(apart, apart_bias, values).reshape(pairs)[versus_guess])
+        high = high + added
+        high[..., -1] += _rounding(p) * (terms + z.size.reshape(channels)[neuron, guess, box])
     most = np.where(alive, z.most.reshape(channels), -np.inf).max(axis=1)
     least = z.least.reshape(channels).max(axis=1)
     return Values.of(boxes, low, high, least, most), LayerBounds(alive, ahead, least, most)
 
 
-def _met(system, boxes, xu, doubt):
-    """Modes whose region the box may meet: (s, B); adds to `doubt` (B, D)."""
+def _differences(layer: Layer) -> tuple[Array, Array]:
+    """Weight and bias of z_i - z_j for all pairs of channels of each neuron: (w p p, q) and (w p p,)."""
+    W = layer.weight.reshape(layer.width, layer.pool, layer.weight.shape[1])
+    b = layer.bias.reshape(layer.width, layer.pool)
+    return (W[:, :, None] - W[:, None]).reshape(-1, W.shape[2]), (b[:, :, None] - b[:, None]).reshape(-1)
+
+
+def _alive(ahead: Array) -> BoolArray:
+    """Channels that may win (w, p, B), given ahead[l, i, j] >= z_i - z_j."""
+    w, p, _, B = ahead.shape
+    alive = np.ones((w, p, B), bool)
+    for i in range(p):
+        for j in range(p):
+            if i != j:  # z_i never exceeds z_j, and z_j may win
+                alive[:, i] &= ~(alive[:, j] & (ahead[:, i, j] <= 0))
+    return alive
+
+
+def _chords(boxes: Boxes, rise: Array, l: Array, u: Array, sizes: Array) -> tuple[Array, Array]:  # noqa: E741
+    """Affine functions above the sum over j of max(z_j - z_r, 0), and the sizes that their rounding is relative to.
+
+    With l <= z_j - z_r <= u, a term is at most the chord u (z_j - z_r - l) / (u - l). Where the largest u is less than
+    the sum of the chords at the middle of a box, it bounds the sum there.
+
+    Parameters
+    ----------
+    rise : array (w, p, B, D + 1)
+        Affine functions above z_j - z_r.
+    l, u : array (w, p, B)
+    sizes : array (w, p, B)
+        The sizes that the rounding of `rise` is relative to.
+
+    Returns
+    -------
+    array (w, B, D + 1), array (w, B)
+    """
+    slope = np.where(u > 0, u / np.where(u > 0, u - l, 1), 0)
+    chord = slope[..., None] * rise
+    chord[..., -1] -= slope * l
+    terms = (slope * (sizes + np.abs(l)) + u).sum(axis=1)
+    chord, highest_u = chord.sum(axis=1), u.max(axis=1)
+    better = _at_middle(boxes, chord) < highest_u
+    flat = np.zeros_like(chord)
+    flat[..., -1] = highest_u
+    return np.where(better[..., None], chord, flat), terms
+
+
+def _met(system: PWASystem, boxes: Boxes, xu: Values) -> BoolArray:
+    """Modes whose region the box may meet: (s, B)."""
     met = []
     for mode in system.modes:
         H, h = mode.region.H, mode.region.h
@@ -384,10 +436,10 @@ def _met(system, boxes, xu, doubt):
     return np.array(met)
 
 
-def _next_state(system, boxes, xu, met, columns):
-    """x(j + 1) = A x + B u + p + d(j), d(j) the coordinates `columns` of w, over all modes met.
+def _next_state(system: PWASystem, boxes: Boxes, xu: Values, met: BoolArray, axes: range) -> Values:
+    """x(j + 1) = A x + B u + p + d(j), d(j) the coordinates `axes` of w, over all modes that can act.
 
-    Affine functions where there is one mode; the hull of all images where there are more.
+    Affine functions where one mode can act; constants that bound all images where more can.
     """
     n, B = system.state_size, len(boxes)
     shape = (n, B, boxes.lower.shape[1] + 1)
@@ -403,7 +455,7 @@ def _next_state(system, boxes, xu, met, columns):
     for ends, bound in ((low, least), (high, most)):
         flat[..., -1] = bound
         ends[:, several] = flat[:, several]
-    d = _coordinates(boxes, columns)
+    d = _coordinates(boxes, axes)
     least, most = least + d.least, most + d.most
     least, most = least - ROUNDOFF * np.abs(least), most + ROUNDOFF * np.abs(most)
     return Values.of(boxes, low + d.low, high + d.high, least, most)
