@@ -152,7 +152,7 @@ def test_sets_of_the_attractor_hold_the_exact_images_of_exact_cells():
     assert np.array_equal(units.state, [1, 1])
     first = found.history[1]
     for cell in exact.cells(units.loop):
-        part = exact._clip_all(cell.corners, exact._rows(square(0.5)))
+        part = exact._clip_all(cell.corners, exact.half_planes(square(0.5)))
         images = [[exact.nearest(entry) for entry in cell.image(x)] for x in part]
         assert not images or first.contains(np.array(images)).all()
 
