@@ -129,6 +129,13 @@ def test_the_public_names_are_those_of_the_stub_and_can_be_imported():
         _ = mireach.no_such_name
 
 
+def test_the_engine_of_the_architecture_page_runs(capsys):
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    exec(code, {"__name__": "a_module_of_a_reader"})
+    assert capsys.readouterr().out.strip() == "Polytope(8 rows in R^2)"
+
+
 def test_the_readme_s_example_runs_and_its_files_exist(capsys):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)

@@ -5,6 +5,7 @@ figures can be read in grey.
 """
 
 import io
+import os
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from os import PathLike
@@ -166,7 +167,7 @@ def save_figure(figure: Figure, path: str | PathLike[str], **options: Any) -> No
         save_svg(figure, content, **options)
     else:
         figure.savefig(content, format=kind, **options)
-    write_whole(path, content.getvalue())
+    write_whole(os.fspath(path), content.getvalue())
 
 
 def plot_sequence(ax: Axes, system: PWASystem, safe: SafeSet, terminal: TerminalSet) -> None:

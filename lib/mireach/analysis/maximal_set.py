@@ -342,9 +342,12 @@ def _check(loop: ClosedLoop, pieces: Polygons, scale: ArrayLike = (1.0, 1.0)) ->
     except ArithmeticError as error:
         return RegionCheck(Verdict.UNKNOWN, None, str(error))
     if escape is not None:
-        parts = [escape.state, escape.disturbance, escape.after]
         factors = [Fraction(s) for s in np.asarray(scale, float).tolist()]
-        x, d, after = (part and tuple(value * s for value, s in zip(part, factors)) for part in parts)
+        x = tuple(value * s for value, s in zip(escape.state, factors))
+        d, after = (
+            None if part is None else tuple(value * s for value, s in zip(part, factors))
+            for part in (escape.disturbance, escape.after)
+        )
         escape = Escape(x, escape.mode, d, after)
         return RegionCheck(Verdict.REFUTED, escape, f"a step leaves the region: {escape}", EXACT)
     reason = f"no step leaves the {len(pieces)} pieces of the region, in rational arithmetic"

@@ -130,6 +130,7 @@ def outside(loop: ClosedLoop, F: Polytope) -> RPICheck | None:
         x = F.exact_maximum(a)
         if x.value > binary(b):
             state = x.point or strict_point(binary(F.H), binary(F.h), [tuple(-e for e in binary(a))], [-binary(b)])
+            assert state is not None  # the supremum of a x over F exceeds b
             reason = (
                 f"F holds states outside the state set, beyond its row {row + 1}, where the loop has no successor"
                 f"{'' if x.point is None else decimal_hint(loop, a, x.value - binary(b))}"

@@ -235,5 +235,6 @@ def _attains(loop: ClosedLoop, S: Polytope, v: Array, limit: float, witness: Wit
         return True
     step = farthest_step(loop, S, v, witness.states[0], int(witness.modes[0]))
     if step is None and loop.system.state_size == 2:
-        step = exact.support_steps(loop, S, v[None])[0]
+        steps = exact.support_steps(loop, S, v[None])
+        step = None if steps is None else steps[0]
     return bool(step is not None and step.value >= exact_limit)

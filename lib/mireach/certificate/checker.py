@@ -416,9 +416,8 @@ class Network:
                 raise Malformed(f"{where} has {len(rows)} rows, which do not divide into groups of {pool}")
             hidden.append((rows, pool))
             columns = len(rows) // pool
-        return Network(
-            tuple(hidden), Network._rows(*fields(output, "the output", ("weight", "bias")), columns, "the output")
-        )
+        weight, bias = fields(output, "the output", ("weight", "bias"))
+        return Network(tuple(hidden), Network._rows(weight, bias, columns, "the output"))
 
     @staticmethod
     def _rows(weight: Any, bias: Any, columns: int | None, where: str) -> tuple[Row, ...]:
@@ -558,7 +557,7 @@ def whole(row: Iterable[Fraction]) -> tuple[tuple[int, ...], int]:
 
 def affine(rows: Iterable[Row], x: Sequence[Fraction]) -> list[Fraction]:
     """w x + b for each row (w, b) of fractions, reduced once per row."""
-    x, unit = whole((*x, 1))
+    x, unit = whole((*x, Fraction(1)))
     return [Fraction(dot(row, x), own * unit) for row, own in map(whole, rows)]
 
 
@@ -727,7 +726,7 @@ def affine_pieces(network: Network, domain: Polygon, clock: Budget) -> list[tupl
         for corners, forms, unit in pieces:
             clock()
             channels = [combine(row, forms, unit) for row in rows]
-            parts = [(corners, [])]
+            parts: list[Any] = [(corners, [])]
             for start in range(0, len(channels), pool):
                 neuron, split, held = channels[start : start + pool], [], 0
                 for old, won in parts:
@@ -891,7 +890,7 @@ class Claims:
         c, R = claim["centre"], self._polygons[-1] if self.n == 2 else None
         if R == []:
             return refuted("the terminal set is empty")
-        sizes = [self._support(R, a) for a, _ in self.sets[-2]] if self.n == 2 else [b for _, b in self.sets[-1]]
+        sizes = [b for _, b in self.sets[-1]] if R is None else [self._support(R, a) for a, _ in self.sets[-2]]
         apart = [(b - dot(a, c), size - dot(a, c)) for (a, b), size in zip(self.sets[-2], sizes)]
         alpha = None
         if min(size for _, size in apart) <= 0:
@@ -919,15 +918,16 @@ class Claims:
         """
         certificate, boxes = self.certificate, 0
         n, m = self.n, len(certificate.network.output)
-        limits = [((*a, *[0] * m), b) for a, b in certificate.state_set]
-        limits += [((*[0] * n, *a), b) for a, b in certificate.input_set]
+        zero = Fraction(0)
+        limits = [((*a, *[zero] * m), b) for a, b in certificate.state_set]
+        limits += [((*[zero] * n, *a), b) for a, b in certificate.input_set]
         for number, mode in enumerate(certificate.modes, start=1):
             rows = [*mode.region, *limits]
             box = bounding_box(rows)
             if box is None:
                 return unchecked(f"single coordinates of the region of mode {number} have no limits")
             for a, b in mode.disturbance:
-                z, used = positive_somewhere(error_along(a, b, mode, certificate.plant), box, rows, self._clock)
+                z, used = positive_somewhere(error_along(a, b, mode, certificate.plant or ()), box, rows, self._clock)
                 if z is not None:
                     says = f"x = {show(z[:n])}, u = {show(z[n:])}: f - f_PWA is not in D of mode {number}"
                     return refuted(says, {"state": texts(z[:n]), "input": texts(z[n:]), "mode": number})
@@ -956,7 +956,7 @@ class Claims:
 
     def _by_solver(self, k: int | None = None, j: int = 0) -> Finding:
         """What a solver's bounds say, of R_1(R_k) in R_j if these are given; never a proof."""
-        solver, offsets = self.certificate.bounds
+        solver, offsets = self.certificate.bounds or ("no solver", ())
         for bound, (_, b) in zip(offsets[k], self.sets[j]) if k is not None else ():
             if bound > b:
                 return refuted(f"the bounds of {solver} do not show that R_1(R_{k}) lies in R_{j}")
@@ -1002,7 +1002,7 @@ class Claims:
         gap, size = None, 0
         modes = self.certificate.modes
         maps = [over_one_unit([(*A, *B, p) for A, B, p in zip(mode.A, mode.B, mode.p)]) for mode in modes]
-        none = (0,) * self.n
+        none = (Fraction(0),) * self.n
         U = [half_plane((*none, *a), b) for a, b in self.certificate.input_set]
         regions = [[half_plane(a, b) for a, b in mode.region] + U for mode in modes]
         for piece, forms, unit in self._pieces:
@@ -1096,7 +1096,7 @@ class Claims:
             if after is not None and dot(a, after) > b:
                 x = near
                 break
-        after = self._replay(k, number, x, d)
+        after = self._replay(k, number, x, d) or ()
         step = {"state": texts(x), "mode": number + 1, "disturbance": texts(d), "after": texts(after)}
         leads = f"mode {number + 1} and d = {show(d)} lead to {show(after)}"
         outside = f"outside {name(j)} by {about(dot(a, after) - b)}"
@@ -1117,7 +1117,8 @@ class Claims:
 
 def bounding_box(rows: Rows) -> Box | None:
     """[(low, high)] by those rows (a, b) that limit one coordinate alone; None if a limit is missing."""
-    low, high = [None] * len(rows[0][0]), [None] * len(rows[0][0])
+    low: list[Any] = [None] * len(rows[0][0])
+    high: list[Any] = [None] * len(rows[0][0])
     for a, b in rows:
         used = [i for i, entry in enumerate(a) if entry]
         if len(used) == 1:
@@ -1158,7 +1159,7 @@ def positive_somewhere(g: Polynomial, box: Box, rows: Rows, clock: Budget) -> tu
         bound, likely, bent = largest(centred(g, centre, radius, clock), len(box))
         if bound <= 0:
             continue
-        for t in ([0] * len(box), likely):
+        for t in ([Fraction(0)] * len(box), likely):
             z = tuple(c + r * entry for c, r, entry in zip(centre, radius, t))
             if value_at(g, z) > 0 and all(dot(a, z) <= b for a, b in rows):
                 return z, used
@@ -1170,7 +1171,7 @@ def positive_somewhere(g: Polynomial, box: Box, rows: Rows, clock: Budget) -> tu
 
 def least(a: Row, box: Box) -> Fraction:
     """min a z over a box."""
-    return sum(entry * (low if entry > 0 else high) for entry, (low, high) in zip(a, box))
+    return sum((entry * (low if entry > 0 else high) for entry, (low, high) in zip(a, box)), Fraction(0))
 
 
 def value_at(g: Polynomial, z: Row) -> Fraction:
@@ -1186,7 +1187,7 @@ def value_at(g: Polynomial, z: Row) -> Fraction:
 def centred(g: Polynomial, centre: Sequence[Fraction], radius: Sequence[Fraction], clock: Budget) -> Polynomial:
     """g(centre + radius t) as a polynomial of t, one coordinate after the other by the binomial theorem."""
     for i, (c, r) in enumerate(zip(centre, radius)):
-        moved = {}
+        moved: Polynomial = {}
         for powers, factor in g.items():
             clock()
             top = powers[i]
@@ -1215,7 +1216,7 @@ def largest(g: Polynomial, size: int) -> tuple[Fraction, list[Fraction], list[Fr
         elif len(used) == 1 and powers[used[0]] == 2:
             square[used[0]] = coefficient
         else:
-            bound += max(coefficient, 0) if all(power % 2 == 0 for power in powers) else abs(coefficient)
+            bound += max(coefficient, Fraction(0)) if all(power % 2 == 0 for power in powers) else abs(coefficient)
             for i in used:
                 bent[i] += abs(coefficient)
     likely = []

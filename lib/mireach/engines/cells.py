@@ -631,4 +631,5 @@ def _longer_witness(
         step = np.hstack([np.eye(2), -every.M[cell], -np.eye(2)])
         lp.add_rows(columns, step, lower=every.c[cell], upper=every.c[cell])
     best = lp.maximize(states[-1], v).point
+    assert best is not None  # the trajectory that attains the value is feasible
     return replay(loop, best[states[0]], modes, [best[d] for d in disturbances])

@@ -68,7 +68,8 @@ def with_bias(weight: Array, bias: Array) -> Any:
 @lru_cache(maxsize=64)
 def matrices(network: MaxoutNetwork) -> list[Any]:
     """(W, b) of every hidden layer and of the output, as fmpq_mat."""
-    return [with_bias(layer.weight, layer.bias) for layer in (*network.hidden, network)]
+    parts = [*((layer.weight, layer.bias) for layer in network.hidden), (network.weight, network.bias)]
+    return [with_bias(weight, bias) for weight, bias in parts]
 
 
 @lru_cache(maxsize=1024)
@@ -232,6 +233,8 @@ def farthest_step(loop: ClosedLoop, F: Polytope, v: Array, x: Array, mode: int) 
         return None
     of_d, limits = loop.system.modes[mode].disturbance.exact
     pushed = maximize(of_d, limits, direction)
+    if pushed.point is None:
+        return None
     return Step(best.value + constant + pushed.value, best.point, mode, pushed.point, (H, h))
 
 
@@ -242,6 +245,8 @@ def attained(loop: ClosedLoop, F: Polytope, v: Array, witness: Witness) -> Ratio
     """
     mode, d = loop.system.modes[int(witness.modes[0])], witness.disturbances[0]
     x = witness.states[0]
+    if F.point is None:
+        return None
     x = x + INWARD * (np.array([nearest(entry) for entry in F.point]) - x)
     if not (F.contains(x) and loop.system.state_set.contains(x) and mode.disturbance.contains(d)):
         return None

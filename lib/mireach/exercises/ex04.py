@@ -82,6 +82,7 @@ def check_t2(support_of_step: Any) -> None:
         truth = support(ClosedLoop(system, constant), Polytope.box(x, x), C)
         i = int(np.argmax(np.abs(h - truth.value)))
         witness = truth.witness[i]
+        assert witness is not None  # a point has a successor along every direction
         case = f"at x = {text(x)}, u = {u[0]:g}, along v = {text(C[i])} you return {h[i]:.4f}"
         require(
             h[i] >= truth.value[i] - TOL,

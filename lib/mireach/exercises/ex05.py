@@ -114,7 +114,7 @@ def check_t3(smallest_error: Any) -> None:
         Saying whether the number is too small or too large, and why.
     """
     system = pwa_plant()
-    left, right = (solve_miqp(system, np.array([x1, 5.0])).inputs[0, 0] for x1 in (-1e-7, 1e-7))
+    left, right = (_first_input(system, x1) for x1 in (-1e-7, 1e-7))
     best = abs(right - left) / 2
     number = require_number(smallest_error, "smallest_error")
     sides = "u* has one value just left of x1 = 0 and another just right of it; a continuous controller has to give"
@@ -259,3 +259,10 @@ def _leaky(z: Array, u: Array, lower: float, upper: float, leak: float) -> float
         kept = min(max(value, lower), upper)
         total += (kept + leak * (value - kept) - wanted) ** 2
     return total / z.size
+
+
+def _first_input(system: PWASystem, x1: float) -> float:
+    """u(0) of the optimal control problem at (x1, 5)."""
+    inputs = solve_miqp(system, np.array([x1, 5.0])).inputs
+    assert inputs is not None  # the problem is feasible there
+    return float(inputs[0, 0])

@@ -188,6 +188,7 @@ def check_t6(x0: Any, first: Any, second: Any) -> None:
     """
     case = case_study("pwa")
     F = safe_set(case.loop, case.safe_directions).set
+    assert F is not None  # the case study has a safe set
     x0 = require_array(x0, (2,), "x0")
     first, second = require_array(first, (None, 2), "first"), require_array(second, (None, 2), "second")
     require(F.contains(x0, tol=INSIDE), f"x0 = {text(x0)} is not in F_max")

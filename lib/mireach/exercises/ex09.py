@@ -125,6 +125,7 @@ def check_t3(leaving_state: Any) -> None:
     plant = double_integrator_plant()
     safe = safe_set(case.loop, case.safe_directions)
     terminal = terminal_set(case.loop, safe, case.directions, centre="equilibrium")
+    assert safe.set is not None  # the case study has a safe set
     middle = int(rng.integers(1, terminal.steps))
     invariant = {"F_max": safe.set, f"R{middle}-bar(F_max)": terminal.history[middle], "R_min-bar": terminal.set}
     for name, G in invariant.items():

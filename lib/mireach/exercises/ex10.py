@@ -112,6 +112,7 @@ def check_t2(shrink: Any) -> None:
         if lacking.area > SHARE * X.area:
             x = lacking.shape.representative_point().coords[0]
             raise Wrong(f"{title}: your set is too small: x = {text(x)} stays in the maximal set forever")
+        assert truth.set is not None  # every case of this task has a maximal set
         k = require_whole(steps, "the number of steps", 0)
         near = [j for j, S_j in enumerate(truth.history) if S_j.area - truth.set.area < SHARE * X.area]
         require(

@@ -199,7 +199,9 @@ def _terminal(
     """The terminal set, or None and why; and the seconds that it took."""
     safe, begin = _safe(loop, safe_count)[0], perf_counter()
     point, remark = (centre, "") if centre == "origin" else _equilibrium(base)
-    terminal = None if remark else terminal_set(loop, safe, directions(count), epsilon, point, max_steps=MAX_STEPS)
+    terminal = None
+    if point is not None and not remark:
+        terminal = terminal_set(loop, safe, directions(count), epsilon, point, max_steps=MAX_STEPS)
     return terminal, remark, perf_counter() - begin
 
 

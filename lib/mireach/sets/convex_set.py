@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arithmetic import rational
 from ..arithmetic.balls import flint
@@ -351,7 +350,7 @@ class ConvexSet:
         identity = np.eye(self.dimension)
         return all(self.exact_maximum(v).point is not None for v in np.vstack([identity, -identity]))
 
-    def contains(self, x: ArrayLike, tol: ArrayLike = 0.0) -> bool | NDArray[np.bool_]:
+    def contains(self, x: ArrayLike, tol: ArrayLike = 0.0) -> Any:
         """Whether H x <= h + tol, decided without rounding.
 
         Parameters

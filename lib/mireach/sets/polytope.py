@@ -204,7 +204,7 @@ class Polytope(ConvexSet):
         """
         return self._vertices.copy()
 
-    def chebyshev_centre(self) -> tuple[Array | None, float]:
+    def chebyshev_centre(self) -> tuple[Any, float]:
         """Centre c and radius r of the largest ball in P: max r over H_i c + r |H_i| <= h_i.
 
         Returns

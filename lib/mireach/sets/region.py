@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from ..checks import positive_number, real_array, require_columns, require_kind, whole_number
 from ..typing import Array, ArrayLike
@@ -346,7 +345,7 @@ class Region:
 
     # -- decisions --------------------------------------------------------------------------------
 
-    def contains(self, x: ArrayLike, tol: float = 0.0) -> bool | NDArray[np.bool_]:
+    def contains(self, x: ArrayLike, tol: float = 0.0) -> Any:
         """Whether points lie in the region, its boundary included.
 
         Parameters

@@ -80,7 +80,7 @@ class Boxes:
         n = P.dimension
         nearest = self.middle[:, :n] @ P.H.T - self.half_width[:, :n] @ np.abs(P.H).T
         nearest -= 2 * _rounding(n) * (self.size[:, :n] @ np.abs(P.H).T)
-        return (nearest <= P.h + ON_BOUNDARY * (1 + np.abs(P.h))).all(axis=1)
+        return np.logical_and.reduce(nearest <= P.h + ON_BOUNDARY * (1 + np.abs(P.h)), axis=1)
 
 
 @dataclass(frozen=True, eq=False)

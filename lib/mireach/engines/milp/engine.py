@@ -551,7 +551,8 @@ class _Simulation:
             chosen, d = self._draw(x, inside, None if disturbances is None else disturbances[j][alive])
             after = loop.system.successor(x, u, chosen) + d
             kept = inside.any(axis=1) & loop.system.state_set.contains(after)
-            x, start, alive = (part[kept] for part in (after, start, alive))
+            x, start = after[kept], start[kept]
+            alive = alive[kept]
             modes = [part[kept] for part in (*modes, chosen)]
             drawn = [part[kept] for part in (*drawn, d)]
         inside = loop.system.violation(x, loop.network(x)) <= 0
@@ -627,7 +628,7 @@ def _solve(problem: _Problem, model: Model, answer: _Answer, cutoff: float) -> f
         modes = [int(np.argmax(found.point[columns])) for columns in model.modes]
         path = Path(x, modes, [found.point[d] for d in model.disturbances])
         if problem.inputs:
-            answer.offer(answer.v @ problem.loop.network(x), path)
+            answer.offer(float(answer.v @ problem.loop.network(x)), path)
         else:
             answer.offer(answer.v @ replay(problem.loop, *path).states[-1], path)
     return found.bound
