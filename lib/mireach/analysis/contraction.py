@@ -25,8 +25,8 @@ def contraction(
 ) -> float:
     """Largest alpha found with R_1(c + alpha (R - c)) in R, all that the proof of Theorem 1 uses of alpha.
 
-    Eq. StabCondFmin, alpha R_k-bar in R_(k-1)-bar, implies it. It can hold with alpha > 1 where some facets of
-    the sequence have come to rest, so that eq. StabCondFmin holds with alpha = 1 only.
+    Eq. (26), StabCondFmin, alpha R_k-bar in R_(k-1)-bar, implies it. It can hold with alpha > 1 where some facets of
+    the sequence have come to rest, so that eq. (26), StabCondFmin holds with alpha = 1 only.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def contraction(
 
     See Also
     --------
-    terminal_set : gives alpha of eq. StabCondFmin.
+    terminal_set : gives alpha of eq. (26), StabCondFmin.
 
     Examples
     --------

@@ -112,7 +112,7 @@ def _require_warm_start(warm_start: Support, query: Query) -> None:
 
 
 def outer_step(loop: ClosedLoop, F: Polytope, C: ArrayLike, engine: Engine | str | None = None) -> Polytope:
-    """R_1-bar(F) = {x : C x <= h of R_1(F) along C} (eq. Rover1), the smallest such set around R_1(F).
+    """R_1-bar(F) = {x : C x <= h of R_1(F) along C} (eq. (18), Rover1), the smallest such set around R_1(F).
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def outer_step(loop: ClosedLoop, F: Polytope, C: ArrayLike, engine: Engine | str
 def outer_reach(
     loop: ClosedLoop, F: Polytope, C: ArrayLike, steps: int, engine: Engine | str | None = None
 ) -> list[Polytope]:
-    """R_0-bar(F) = F, R_1-bar(F), ..., R_k-bar(F) for k = `steps` (eq. ROverOver).
+    """R_0-bar(F) = F, R_1-bar(F), ..., R_k-bar(F) for k = `steps` (eq. (19), ROverOver).
 
     Parameters
     ----------

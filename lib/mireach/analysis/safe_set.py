@@ -63,7 +63,7 @@ def safe_set(
     tol: float | None = None,
     progress: bool = False,
 ) -> SafeSet:
-    """F_max of Prop. Fmax: iterate F_(k+1) = R_1-bar(F_k) & X from F_0 = X until R_1(F_k) lies in X (eq. Fk).
+    """F_max of Prop. Fmax: iterate F_(k+1) = R_1-bar(F_k) & X from F_0 = X until R_1(F_k) lies in X (eq. (21), Fk).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The terminal set R_min-bar (eq. RminOver): where every trajectory from F_max ends, with alpha of Theorem 1."""
+"""The terminal set R_min-bar (eq. (24), RminOver): where every trajectory from F_max ends, with alpha of Theorem 1."""
 
 from dataclasses import dataclass
 
@@ -36,13 +36,13 @@ class TerminalSet(Result):
     history : list of Polytope
         R_0-bar = F_max, R_1-bar, ..., `set`.
     criterion : bool
-        Whether eq. TerminationFmin holds about `centre`: the set is then within 1 + `epsilon` of the limit.
+        Whether eq. (25), TerminationFmin holds about `centre`: the set is then within 1 + `epsilon` of the limit.
     reason : str
         Why the sequence ended.
     epsilon : float
     centre : array (n,)
     alpha : float
-        Largest alpha with alpha R_k-bar in R_(k-1)-bar, both seen from `centre` (eq. StabCondFmin);
+        Largest alpha with alpha R_k-bar in R_(k-1)-bar, both seen from `centre` (eq. (26), StabCondFmin);
         nan if the centre is not inside R_k-bar.
     delta_max : float
         Radius of the tube of Theorem 1's proof (units of x); nan with alpha.
@@ -88,7 +88,9 @@ def terminal_set(
     tol: float | None = None,
     progress: bool = False,
 ) -> TerminalSet:
-    """R_min-bar = R_k-bar(F_max) with the first k at which eq. TerminationFmin holds (eq. RminOver), and Theorem 1.
+    """R_min-bar = R_k-bar(F_max) of eq. (24), RminOver, with the first k at which eq. (25), TerminationFmin, holds.
+
+    It also gives alpha of Theorem 1.
 
     Parameters
     ----------
@@ -100,7 +102,7 @@ def terminal_set(
     epsilon : float
         Positive.
     centre : "origin", "equilibrium" or array (n,)
-        About which eq. TerminationFmin scales. The paper's origin fails where the closed loop's
+        About which eq. (25), TerminationFmin scales. The paper's origin fails where the closed loop's
         equilibrium is another point: the sequence converges, but not towards the origin.
     engine : Engine, str or None
         As in `support`.
@@ -206,7 +208,7 @@ def _is_near_limit(
     c: Array,
     engine: Engine,
 ) -> bool:
-    """Eq. TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
+    """Eq. (25), TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
 
     `reach` and `after` are upper bounds on the support functions of R and of R_1(R) along V. What S must lie in is
     attained by steps in rational numbers.

@@ -153,7 +153,7 @@ def check_t3(witness: Any) -> None:
 
 
 def check_t4(share: Any) -> None:
-    """Task 4: share(M), the share of X that eq. gammaForR leaves if all its rows have the same M.
+    """Task 4: share(M), the share of X that eq. (10), gammaForR leaves if all its rows have the same M.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ from ..systems.pwa import PWASystem
 from ..typing import Array
 from .tables import html_table
 
-EPSILON = 1e-3  # of eq. (27), TerminationFmin, as in the paper
+EPSILON = 1e-3  # of eq. (25), TerminationFmin, as in the paper
 
 
 class NetworkShape(NamedTuple):
