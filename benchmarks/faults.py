@@ -101,9 +101,9 @@ FAULTS = (
         "compiled",
         "sets/kernels.py",
         "dual_bounds does not count its rounding",
-        "            value = value + (rest0 + rest1) * extent * (1 + ROUNDING)\n"
-        "            bound[k] = np.ldexp(value + ROUNDING * abs(value) + LEAST, most)",
-        "            bound[k] = np.ldexp(value * (1 - ROUNDING), most)",
+        "            value = value + (rest0 + rest1) * extent * (1 + EXPRESSION)\n"
+        "            bound[k] = np.ldexp(value + EXPRESSION * abs(value) + SMALL_PRODUCTS, most)",
+        "            bound[k] = np.ldexp(value * (1 - EXPRESSION), most)",
     ),
     # -- the plane in rational arithmetic, and single steps
     Fault(

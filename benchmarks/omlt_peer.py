@@ -12,13 +12,12 @@ from omlt.neuralnet.layer import DenseLayer, InputLayer
 from pyomo.contrib.solver.solvers.highs import Highs
 
 from mireach.engines.milp.formulation import disturbance_box
-from mireach.solvers.branch_and_bound import GAP, MIP_TOLERANCE
-from mireach.solvers.linear_program import TOLERANCE
+from mireach.tolerances import FEASIBILITY, INTEGRALITY, MIP_GAP
 
 OPTIONS = {
-    "mip_feasibility_tolerance": MIP_TOLERANCE,
-    "primal_feasibility_tolerance": TOLERANCE,
-    "dual_feasibility_tolerance": TOLERANCE,
+    "mip_feasibility_tolerance": INTEGRALITY,
+    "primal_feasibility_tolerance": FEASIBILITY,
+    "dual_feasibility_tolerance": FEASIBILITY,
 }
 
 
@@ -32,8 +31,8 @@ def _maximum(model, limit):
     found = Highs().solve(
         model,
         time_limit=limit,
-        rel_gap=GAP,
-        abs_gap=GAP,
+        rel_gap=MIP_GAP,
+        abs_gap=MIP_GAP,
         solver_options=OPTIONS,
         load_solutions=False,
         raise_exception_on_nonoptimal_result=False,

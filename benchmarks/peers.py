@@ -22,7 +22,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 
 import mireach as mr
 from mireach.engines.milp import engine as milp
-from mireach.solvers.branch_and_bound import GAP, MIP_TOLERANCE
+from mireach.tolerances import INTEGRALITY, MIP_GAP
 
 FOLDER = Path(__file__).resolve().parent / ".peers"
 PACKAGES = {
@@ -210,11 +210,11 @@ def gurobi(model, v):
     cost, A, row_low, row_high, low, high, binary = parts(model, v)
     with gp.Env(params={"OutputFlag": 0}) as env, gp.Model(env=env) as m:
         for name, setting in {
-            "MIPGap": GAP,
-            "MIPGapAbs": GAP,
-            "FeasibilityTol": MIP_TOLERANCE,
-            "IntFeasTol": MIP_TOLERANCE,
-            "OptimalityTol": MIP_TOLERANCE,
+            "MIPGap": MIP_GAP,
+            "MIPGapAbs": MIP_GAP,
+            "FeasibilityTol": INTEGRALITY,
+            "IntFeasTol": INTEGRALITY,
+            "OptimalityTol": INTEGRALITY,
             "TimeLimit": LIMIT,
         }.items():
             m.setParam(name, setting)
@@ -238,7 +238,7 @@ def scip(model, v):
     cost, A, row_low, row_high, low, high, binary = parts(model, v)
     m = pyscipopt.Model()
     m.hideOutput()
-    m.setParams({"limits/gap": GAP, "limits/time": LIMIT, "numerics/feastol": MIP_TOLERANCE})
+    m.setParams({"limits/gap": MIP_GAP, "limits/time": LIMIT, "numerics/feastol": INTEGRALITY})
     x = [
         m.addVar(vtype="B" if b else "C", lb=None if lo == -np.inf else lo, ub=None if hi == np.inf else hi)
         for b, lo, hi in zip(binary, low, high)

@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "lib" / "mireach"
 MODULES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
 FLOORS = (  # from the ground up; docs/architecture.md explains them
-    ("typing", "errors", "checks", "results", "files", "workers", "arithmetic"),
+    ("typing", "tolerances", "errors", "checks", "results", "files", "workers", "arithmetic"),
     ("solvers", "sets"),
     ("systems",),
     ("approximation",),

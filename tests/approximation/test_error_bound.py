@@ -14,8 +14,9 @@ from fits import DI, NINE, ROUNDING, SMOOTH, errors_at, largest_by_climbing, sla
 
 import mireach as mr
 from mireach.approximation import error_bound
-from mireach.approximation.error_bound import SMALL, error_directions, prove_error
+from mireach.approximation.error_bound import error_directions, prove_error
 from mireach.approximation.fit import fit_pwa
+from mireach.tolerances import LEAST_ERROR
 
 # -- against sampling -----------------------------------------------------------------------------
 
@@ -68,7 +69,7 @@ def test_the_bound_is_sound_whatever_ends_the_search():
     assert all((after.bound <= before.bound).all() for before, after in pairwise(proofs))
     coarse = prove_error(f, modes, X, U, tol=0.1)
     assert coarse.complete[0] and coarse.boxes[0] < 0.2 * proofs[-1].boxes[0]
-    assert (coarse.gap <= 0.1 * np.maximum(SMALL * coarse.unit, np.abs(coarse.attained))).all()
+    assert (coarse.gap <= 0.1 * np.maximum(LEAST_ERROR * coarse.unit, np.abs(coarse.attained))).all()
     assert coarse.unit.tolist() == [2, 1, 2, 1, 2, 2, 2, 2]  # half-widths of X, rounded down to powers of two
 
 

@@ -28,9 +28,10 @@ from mireach import (
     exact_reach,
     safe_set,
 )
-from mireach.engines.cells import CORNER, Cells, cells
+from mireach.engines.cells import Cells, cells
 from mireach.engines.exact import Exact
 from mireach.systems.plants import chessboard
+from mireach.tolerances import CORNER
 
 V = np.vstack([directions(5), [[-5, 1]]])
 SETS = {

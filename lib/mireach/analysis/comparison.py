@@ -18,10 +18,10 @@ from ..engines.units import own_units
 from ..errors import SolverStopped
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
+from ..tolerances import CLEAR
 from ..typing import Array
 from .reach import support
 
-CLEAR = 1e-9  # by which an attained value passes a limit that floats alone call passed (relative to the size of X)
 WITHIN = "to within {:.0e} of the size of X, {}"
 
 

@@ -6,9 +6,9 @@ from ..arithmetic.rational import above, below, binary, dot
 from ..checks import positive_number, require_kind
 from ..engines.base import Engine
 from ..engines.registry import engine_for
-from ..sets.convex_set import ROUNDING
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
+from ..tolerances import EXPRESSION
 from ..typing import Array
 from .arguments import Centre, centre_point
 from .reach import support
@@ -97,7 +97,7 @@ def growth(V: Array, reach: Array, before: Array, c: Array) -> float:
     if (bottom > 2 * error).all():
         least = (top - error) / np.where(top > error, bottom + error, bottom - error)
         most = (top + error) / np.where(top > -error, bottom - error, bottom + error)
-        rows = np.flatnonzero(least - most.min() <= 8 * ROUNDING * (np.abs(least) + np.abs(most.min())))
+        rows = np.flatnonzero(least - most.min() <= 8 * EXPRESSION * (np.abs(least) + np.abs(most.min())))
     c, shares = binary(c), []
     for r in rows:
         value, inner = dot(binary(V[r]), c), binary(reach[r])
@@ -109,7 +109,7 @@ def growth(V: Array, reach: Array, before: Array, c: Array) -> float:
 
 def rounding(V: Array, c: Array, h: Array, other: Array) -> Array:
     """What floats round off at most in h - V c and in other - V c: array (k,)."""
-    return (len(c) + 4) * ROUNDING * (np.abs(V) @ np.abs(c) + np.maximum(np.abs(h), np.abs(other)))
+    return (len(c) + 4) * EXPRESSION * (np.abs(V) @ np.abs(c) + np.maximum(np.abs(h), np.abs(other)))
 
 
 def scaled(R: Polytope, s: float, c: Array) -> Polytope:

@@ -18,12 +18,12 @@ from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.region import Region
 from ..systems.loop import ClosedLoop
+from ..tolerances import CLOSING
 from ..typing import Array, ArrayLike, IntArray
 from .maximal_set import MaximalSafeSet
 from .plane import PlanarLoop, normals, per_axis
 from .safe_set import SafeSet
 
-CLOSING = 2.0**-36  # least widening of an image (relative to the size): far above rounding, far below what is seen
 GRIDS = 2.0 ** np.array([-5, -4, -3])  # of the corners of a union, relative to the widening; the next one if GEOS fails
 FEWER = 0.75  # share of the widening by which the boundary may move inward again while it loses corners
 MORE = 8  # factor from one widening to the next where a set has too many corners

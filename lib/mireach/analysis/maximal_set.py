@@ -25,11 +25,10 @@ from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.region import Region
 from ..systems.loop import ClosedLoop
+from ..tolerances import LEAST_SLACK, SLACK
 from ..typing import Array, ArrayLike, IntArray
 from .plane import PlanarLoop, normals, square
 
-SLACK = 1e-9  # default of `slack`: thousands of times the rounding of GEOS, and far below what is seen in an area
-LEAST_SLACK = 1e-11  # smaller ones would drown in the rounding of GEOS
 MOST_ITERATIONS = 500  # default of `max_iterations`
 MOST_TRIANGLES = 1_000  # that an S_k may fall into; a larger slack then ends a boundary of ever more corners sooner
 MOST_LOST = 10_000  # the same where nothing has to be proven afterwards

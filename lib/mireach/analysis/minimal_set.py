@@ -11,9 +11,9 @@ from ..engines.units import own_units
 from ..results import Result, Verdict
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
+from ..tolerances import CLEAR
 from ..typing import Array, ArrayLike
 from .arguments import Centre, centre_point, template, with_rows
-from .comparison import CLEAR
 from .contraction import scaled
 from .reach import support
 from .rpi import check_rpi, require_rpi

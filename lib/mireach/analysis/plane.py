@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..arithmetic.scaling import times
 from ..checks import positive_number, real_array, require_kind
-from ..engines.cells import TOUCH, LoopCells, dynamics
+from ..engines.cells import LoopCells, dynamics
 from ..engines.inputs import require_inputs
 from ..engines.units import Units, own_units
 from ..sets.geos import Shapes, hulls
@@ -23,9 +23,8 @@ from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.region import Region
 from ..systems.loop import ClosedLoop
+from ..tolerances import HALF_PLANE, TOUCH
 from ..typing import Array, ArrayLike
-
-ROUNDING = 2.0**-49  # covers the rounding of a half-plane through points, relative to their largest coordinate
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +92,7 @@ class PlanarLoop:
     @cached_property
     def touch(self) -> float:
         """Distance between states within which closed sets touch: relative to X, above the rounding of its image."""
-        return max(TOUCH * float(np.abs(self.polygons.points).max(initial=0.0)), ROUNDING * self.size)
+        return max(TOUCH * float(np.abs(self.polygons.points).max(initial=0.0)), HALF_PLANE * self.size)
 
     @cached_property
     def disturbances(self) -> list[tuple[Polytope, NDArray[np.bool_]]]:

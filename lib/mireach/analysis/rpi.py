@@ -12,9 +12,10 @@ from ..engines.units import own_units
 from ..results import Result, Verdict
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
+from ..tolerances import CLEAR
 from ..typing import Array, Rational
 from .arguments import tolerance
-from .comparison import CLEAR, Comparison, compare
+from .comparison import Comparison, compare
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,8 @@ import numpy as np
 from ..checks import require_kind
 from ..sets.polytope import Polytope
 from ..systems.nonlinear import NonlinearSystem
+from ..tolerances import FLAT_DOMAIN
 from ..typing import Array
-
-FLAT = 2.0**-20  # half-widths of X x U below this share of its largest coordinate are taken as this share
 
 
 def nonlinear_system(
@@ -70,7 +69,7 @@ def domain_units(system: NonlinearSystem) -> Array:
     ends = [_extent(part) for part in (system.state_set, system.input_set)]
     lower, upper = (np.concatenate(side) for side in zip(*ends))
     size = np.maximum(np.abs(lower), np.abs(upper))
-    return power_below(np.maximum((upper - lower) / 2, FLAT * size))
+    return power_below(np.maximum((upper - lower) / 2, FLAT_DOMAIN * size))
 
 
 def power_below(sizes: Array) -> Array:

@@ -21,15 +21,12 @@ from ..sets.templates import box_directions
 from ..solvers.linear_program import LinearProgram
 from ..systems.nonlinear import NonlinearSystem
 from ..systems.pwa import Mode
+from ..tolerances import CUTTING_ROW, ERROR_GAP, LEAST_ERROR, PULL
 from ..typing import Array, ArrayLike, IntArray
 from .domain import checked_regions, domain_units, nonlinear_system, power_below
 from .jets import Residual
 
-GAP = 1e-9  # proven bound minus attained error at which the search ends, as a share of the error
-SMALL = 2.0**-10  # errors below this share of X's size count as this large there: floats do not resolve a share of them
 MAX_BOXES = 4000  # boxes per mode, about 0.3 ms each; a bound is proven whatever ends the search
-CUTS = 1e-12  # a row that cuts off less of a box than this is not used to tighten its bound (X x U has the size 1)
-PULL = 1e-10  # share of the way to the region's centre by which points that rounding put outside are moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +46,7 @@ class ErrorProof:
         Number of boxes that were bounded.
     tol : float
         The difference of `bound` and `attained` at which the search was to end, as a share of |attained|, or of
-        `SMALL` times `unit` where that is larger.
+        `LEAST_ERROR` times `unit` where that is larger.
     unit : array (k,)
         The size of X along each direction: the power of two below the largest |v_i| times half-width i of X.
 
@@ -81,7 +78,7 @@ class ErrorProof:
     @property
     def complete(self) -> NDArray[np.bool_]:
         """Whether the search of each mode ended by its tolerance, array (s,) of bool."""
-        return np.all(self.gap <= self.tol * np.maximum(SMALL * self.unit, np.abs(self.attained)), axis=1)
+        return np.all(self.gap <= self.tol * np.maximum(LEAST_ERROR * self.unit, np.abs(self.attained)), axis=1)
 
     def error_set(self, mode: int) -> Polytope:
         """{d : v d <= bound for every direction v}; the point 0 where the region of the mode does not meet X x U.
@@ -109,7 +106,7 @@ def prove_error(
     input_set: Polytope | None = None,
     directions: ArrayLike | None = None,
     *,
-    tol: float = GAP,
+    tol: float = ERROR_GAP,
     max_boxes: int = MAX_BOXES,
 ) -> ErrorProof:
     """Upper bounds on v (f(x, u) - A x - B u - p) over region & X x U, for each mode and direction v.
@@ -124,8 +121,8 @@ def prove_error(
     directions : array (k, n) or None
         The rows v; None is `error_directions(n)`.
     tol : float
-        Gap between proven and attained error to aim at, as a share of the error, or of `SMALL` times the half-width of
-        X along the direction (rounded down to a power of two) where that is larger. Units do not matter.
+        Gap between proven and attained error to aim at, as a share of the error, or of `LEAST_ERROR` times the
+        half-width of X along the direction (rounded down to a power of two) where that is larger. Units do not matter.
     max_boxes : int
         Boxes per mode after which the search ends in any case; the bound is proven nevertheless.
 
@@ -295,7 +292,7 @@ class _Rows:
     def cutting(self, centre: Array, radius: Array) -> IntArray | None:
         """Indices of the rows that cut a box, or None if one of them certainly excludes all of it."""
         middle, spread = self.P.H @ centre, np.abs(self.P.H) @ radius
-        slack = CUTS * (1 + np.abs(self.P.h))
+        slack = CUTTING_ROW * (1 + np.abs(self.P.h))
         for k in np.flatnonzero(middle - spread > self.P.h):
             lowest = sum(a * ball(c) - abs(a) * ball(r) for a, c, r in zip(self.H[k], centre, radius))
             if lowest > self.h[k]:
@@ -374,7 +371,7 @@ def _search(residual: Residual, part: Polytope, tol: float, max_boxes: int) -> _
 
 def _undecided(bound: Array, attained: Array, tol: float) -> NDArray[np.bool_]:
     """Whether the bound of each direction still exceeds what is attained by more than the tolerance: (k,) of bool."""
-    size = np.where(np.isfinite(attained), np.maximum(SMALL, np.abs(attained)), SMALL)
+    size = np.where(np.isfinite(attained), np.maximum(LEAST_ERROR, np.abs(attained)), LEAST_ERROR)
     return bound > attained + tol * size
 
 

@@ -18,13 +18,13 @@ from ..errors import SolverError
 from ..sets.polytope import Polytope
 from ..systems.nonlinear import NonlinearSystem
 from ..systems.pwa import Mode, PWASystem
+from ..tolerances import ERROR_GAP, GRID_POINT
 from ..typing import Array
 from .domain import checked_regions, domain_units, nonlinear_system
-from .error_bound import GAP, MAX_BOXES, ErrorProof, prove_error
+from .error_bound import MAX_BOXES, ErrorProof, prove_error
 
 METHODS = ("least_squares", "minimax")
 ERRORS = ("box", "polytope", "ball")
-INSIDE = 1e-9  # a grid point this far outside a region still belongs to it (X x U has the size 1 there)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ def fit_pwa(
     grid: int = 10,
     error: str = "box",
     per_mode: bool = False,
-    tol: float = GAP,
+    tol: float = ERROR_GAP,
     max_boxes: int = MAX_BOXES,
 ) -> PWAFit:
     """Fit A x + B u + p to f(x, u) in every region, and prove a bound on the error.
@@ -257,7 +257,7 @@ def _grid_points(part: Polytope, grid: int) -> Array:
         return np.zeros((0, part.dimension))
     axes = [np.linspace(low, high, grid) for low, high in zip(*part.bounding_box())]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, part.dimension)
-    points = np.unique(points[part.contains(points, tol=INSIDE)], axis=0)
+    points = np.unique(points[part.contains(points, tol=GRID_POINT)], axis=0)
     return points if len(points) > part.dimension else np.vstack([points, part.vertices()])
 
 

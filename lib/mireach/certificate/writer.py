@@ -28,11 +28,11 @@ from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.nonlinear import NonlinearSystem
 from ..systems.pwa import PWASystem
+from ..tolerances import LARGEST_INFLATION
 from ..typing import Array
 from . import checker
 from .checker import Report
 
-LARGEST_INFLATION = 1e-6  # largest growth of a set to make its claim true, relative to the width of X along the row
 REPAIRS = 30  # steps of the iteration towards the smallest set, before larger sets are tried
 
 

@@ -18,6 +18,7 @@ from ..errors import SolverError
 from ..sets.polytope import Polytope
 from ..solvers.linear_program import LinearProgram
 from ..systems.loop import ClosedLoop
+from ..tolerances import BESIDE, CLOSE_VALUE, FLAT_SET
 from ..typing import Array, Rational
 from .base import Witness
 from .bounds import support_vectors
@@ -26,9 +27,6 @@ from .steps import inputs as exact_inputs
 
 INWARD = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4)  # shares of the way to a centre by which a state is moved, tried in turn
 CORNERS = 12  # points of the set where trajectories start; other pieces are searched towards them
-BESIDE = 1e-6  # share of the way to such a point at which another piece of the loop is searched
-CLOSE = 1e-9  # a value this close to the value in floats ends the search (relative to 1 + its size)
-FLAT = 1e-9  # radius of the largest ball in a set below which it is flat (units of x)
 CACHED = 64  # disturbance sets whose results are cached
 
 Point = tuple[Rational, ...]
@@ -103,7 +101,7 @@ def attained(
     best, direction = None, rational.binary(v)
     for starts in (_itself, _towards_the_middle, _inside_of_its_piece, _best_of_pieces):
         for claimed, path in paths[: 1 if starts is _best_of_pieces else None]:
-            enough = claimed - CLOSE * (1 + abs(claimed))
+            enough = claimed - CLOSE_VALUE * (1 + abs(claimed))
             if best is not None and best.value >= enough:
                 break
             for start in starts(loop, F, direction, path):
@@ -208,7 +206,7 @@ def _centre(P: Polytope) -> Array | None:
             return None
         if best.point is None:
             return None
-        if not ball or best.value > FLAT:
+        if not ball or best.value > FLAT_SET:
             return best.point[:n]
     return None
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import SolverError
 from ..sets.polytope import Polytope
 from ..solvers.linear_program import LinearProgram
-from ..solvers.weak_duality import ROUNDOFF
+from ..tolerances import ROUNDOFF
 from ..typing import Array, ArrayLike, IntArray
 
 METHODS = ("interval", "lp", "tight")

@@ -21,16 +21,12 @@ from ..sets.templates import box_directions
 from ..solvers.linear_program import LinearProgram
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
+from ..tolerances import BOUND_GRID, CORNER, LARGE_IMAGE, OPPOSITE_ROWS, TOUCH
 from ..typing import Array, ArrayLike, IntArray
 from .base import Engine, LazySequence, Support, Witness, checked_query, empty_support, replay
 
-TOUCH = 1e-11  # closed sets that come this close touch (relative to the size of X)
-ROUNDING = 2.0**-36  # bounds are rounded up to multiples of this (in the units of the loop) ...
-NOISE = 2.0**-44  # ... or of this, relative to the size of large images; it has to exceed the rounding of floats
-CORNER = 2.0**-50  # upper bound of the distance by which rounding moves a new corner (relative to the size of X)
 SHAPED = 16  # a polygon of X and a region counts for this many cuts, which bounds the rounding of its corners
 CUTS = 64  # consecutive cuts by rows of F that the errors of a cell allow for
-PARALLEL = 4e-15  # rows whose angle has a smaller sine are opposite up to rounding, as those of a template are
 SHARP = 0.1  # tips whose angle has a smaller sine are cut off by an additional row, since rounding moves them far
 MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall into
 
@@ -456,7 +452,7 @@ def _cut_by_inputs(found: NetworkCells, regions: tuple[Polytope, ...]) -> Networ
 def _unit(size: float) -> float:
     """The power of two of which bounds are multiples, for states of this size."""
     power = 2.0 ** np.ceil(np.log2(size))
-    return float(max(ROUNDING, NOISE * power))
+    return float(max(BOUND_GRID, LARGE_IMAGE * power))
 
 
 def _size(points: Array) -> float:
@@ -514,7 +510,7 @@ def _blunted(F: Polytope, walls: Walls, size: float) -> tuple[Array, Array, IntA
 
     Returns H, h and the mode (-1 for all) to which each row belongs.
     """
-    pairs, count = sharp_pairs(F.H, F.h, walls.H, walls.h, size, PARALLEL, SHARP), len(F.h)
+    pairs, count = sharp_pairs(F.H, F.h, walls.H, walls.h, size, OPPOSITE_ROWS, SHARP), len(F.h)
     only, tips = np.full(count, -1), []
     for r, s in pairs:
         first = _exact_row(F.H[r], F.h[r])

@@ -16,11 +16,11 @@ from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.network import Layer, MaxoutNetwork
 from ..systems.pwa import Mode, PWASystem
+from ..tolerances import CVXPY_RESOLUTION, CVXPY_TOLERANCE
 from ..typing import Array, ArrayLike
 from .attained import Path, attained
 from .base import SOLVER, Engine, Support, Witness, checked_query, empty_support
 
-TOLERANCE = 1e-7  # added to the optimum of the solver, in units of v x
 ZERO_GAP: dict[str, dict[str, Any]] = {
     "HIGHS": {
         "mip_rel_gap": 1e-9,
@@ -61,11 +61,11 @@ class Cvxpy(Engine):
     """
 
     name: ClassVar[str] = "cvxpy"
-    resolution: ClassVar[float] = 1e-5
+    resolution: ClassVar[float] = CVXPY_RESOLUTION
 
     solver: str = "HIGHS"
     time_limit: float | None = None
-    tolerance: float = TOLERANCE
+    tolerance: float = CVXPY_TOLERANCE
     options: Mapping[str, object] = field(default_factory=dict)
 
     def support(

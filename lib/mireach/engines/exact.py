@@ -18,11 +18,11 @@ from ..arithmetic.rational import above, binary, dot, fractions, maximize, neare
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
+from ..tolerances import AROUND
 from ..typing import Array, ArrayLike, BoolArray, IntArray, Rational
 from .base import EXACT, Engine, Escape, LazySequence, Support, Witness, checked_query, empty_support, replay
 from .steps import Row, Step, matrices
 
-AROUND = 2.0**-40  # boxes in floats, which discard what cannot meet, are enlarged by this (relative)
 MOST_PARTS = 10_000  # parts into which the rest of one image may fall while it is compared with a region
 
 Point = tuple[Rational, Rational]

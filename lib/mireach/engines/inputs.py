@@ -11,12 +11,11 @@ from ..arithmetic.rational import binary, nearest
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop, input_message
 from ..systems.network import MaxoutNetwork
+from ..tolerances import CLEAR
 from ..typing import Array
 from . import cells, exact
 from .milp import engine as milp
 from .units import Units, own_units
-
-CLEAR = 1e-9  # a larger excess of floats is certain (relative to the size of U); below, exact arithmetic decides
 
 
 def require_inputs(loop: ClosedLoop, time_limit: float | None = None) -> None:

@@ -18,10 +18,10 @@ from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
 from ..systems.pwa import Mode
+from ..tolerances import INWARD
 from ..typing import Array, Rational
 from .base import Escape, Witness, replay
 
-INWARD = 2.0**-30  # share of the way to a point of F by which a state is moved inward, far above rounding
 PULLS = 2.0 ** np.arange(-54, -9, 4)  # shares of the way to the middle of a cell that a rounded state is moved
 
 Row = tuple[tuple[Rational, ...], Rational]  # (a, b), the half-space a x <= b

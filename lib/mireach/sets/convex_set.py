@@ -23,17 +23,12 @@ from ..arithmetic.scaling import normal_rows
 from ..checks import real_array, require_columns, require_kind
 from ..errors import SolverError
 from ..solvers.linear_program import LinearProgram
+from ..tolerances import EXPRESSION, NEAR_VERTEX, PARALLEL_ROWS, SINGULAR_ROWS, SMALLEST, TOUCH
 from ..typing import Array, ArrayLike, IntArray
 from .kernels import EMPTY, FAT, around, dual_bounds, in_units, inclusion, membership, polygon
 
 Rational: TypeAlias = Any  # an fmpq of python-flint, which has no types
 
-TOUCH = 1e-11  # vertices count as one point within this distance, relative to the size of the set in each coordinate
-PARALLEL = 1e-12  # rows of length about 1 whose determinant is below this have no vertex
-NEARLY = 1e-6  # candidates for a vertex are decided over the rationals if they are inside to within this
-ROUNDING = 2.0**-50  # covers what a sum of a few products rounds off, relative to the sizes of its terms
-LEAST = 2.0**-1060  # covers what products lose that are too small for full precision
-SINGULAR = 1e-8  # n rows of length about 1 whose determinant is below this meet where floats do not tell
 CHUNK = 4_000_000  # numbers that the enumeration of vertices handles at a time
 MANY = 256  # rows in the plane up to which all vertices are computed when one is needed
 MOST_SINGULAR = 40_000  # of those that the enumeration is willing to look at over the rationals
@@ -517,7 +512,7 @@ class ConvexSet:
         ahead, size = [*range(len(corners))], np.abs(self._local_corners).max()
         if all(1e-290 < abs(entry) < 1e290 or not exact for entry, exact in zip(v, direction)) and size < np.inf:
             heights = self._local_corners @ _direction(v, self._plane.unit)  # no entry of the direction exceeds 1
-            ahead = np.flatnonzero(heights >= heights.max() - 8 * ROUNDING * size - LEAST).tolist()
+            ahead = np.flatnonzero(heights >= heights.max() - 8 * EXPRESSION * size - SMALLEST).tolist()
         value, k = max((rational.dot(direction, corners[k]), -k) for k in ahead)
         return ExactOptimum(value, corners[-k])
 
@@ -564,7 +559,7 @@ class ConvexSet:
         """In the plane the result of `kernels.polygon`, unless it has no vertices; else None."""
         if self.dimension != 2:
             return None
-        found = _Plane(*polygon(self.H, self.h, PARALLEL, TOUCH))
+        found = _Plane(*polygon(self.H, self.h, PARALLEL_ROWS, TOUCH))
         return found if found.kind != EMPTY else None
 
     @property
@@ -690,7 +685,7 @@ class ConvexSet:
         size = np.abs(row)
         number = np.flatnonzero(size.any(axis=1))
         parallel = np.zeros((len(row), len(row)), bool)
-        if ((size > 0) == (self.H != 0)).all() and (size[size > 0] > LEAST).all():  # the scaled rows are not rounded
+        if ((size > 0) == (self.H != 0)).all() and (size[size > 0] > SMALLEST).all():  # the scaled rows are not rounded
             parallel = np.logical_or(*((row[:, None] == sign * row).all(axis=2) for sign in (1, -1)))
         subsets = combinations(number.tolist(), self.dimension)
         found: list[list[int]] = []
@@ -699,10 +694,10 @@ class ConvexSet:
             chunk = np.array(some)
             for i, j in combinations(range(self.dimension), 2):
                 chunk = chunk[~parallel[chunk[:, i], chunk[:, j]]]
-            regular = np.abs(np.linalg.det(row[chunk])) > SINGULAR
+            regular = np.abs(np.linalg.det(row[chunk])) > SINGULAR_ROWS
             points = np.linalg.solve(row[chunk[regular]], offset[chunk[regular]][..., None])[..., 0]
             terms = np.abs(points).max(axis=1)[:, None] * size.sum(axis=1) + np.abs(offset)
-            inside = (points @ row.T - offset <= NEARLY * terms).all(axis=1)
+            inside = (points @ row.T - offset <= NEAR_VERTEX * terms).all(axis=1)
             found += [*chunk[regular][inside].tolist(), *chunk[~regular].tolist()]
             doubtful += int((~regular).sum())
             if doubtful > MOST_SINGULAR:

@@ -15,11 +15,10 @@ from scipy.spatial import ConvexHull
 
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import binary, dot, maximize, nearest
+from ..tolerances import ALIGNED_NORMALS
 from ..typing import Array
 
 Vector: TypeAlias = tuple[Any, ...]  # of fmpq
-
-ALIGNED = 1e-6  # an exact normal replaces that of qhull if they differ by a smaller share of their length
 
 
 class Frame:
@@ -129,7 +128,7 @@ class Frame:
         top = max(abs(entry) for entry in w)
         w = tuple(entry / (top if dot(w, near) > 0 else -top) for entry in w)
         unit = np.array([nearest(entry) for entry in w])
-        close = np.abs(unit / np.linalg.norm(unit) - equation[:-1]).max() < ALIGNED
+        close = np.abs(unit / np.linalg.norm(unit) - equation[:-1]).max() < ALIGNED_NORMALS
         return w if close else near
 
 

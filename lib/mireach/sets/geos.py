@@ -9,17 +9,16 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from ..tolerances import EXPRESSION, GEOS_GRID
 from ..typing import Array
 from .polygons import Polygons
 
 Shape: TypeAlias = Any  # a geometry of shapely, which has no types
 Shapes: TypeAlias = NDArray[np.object_]  # several of them
 
-GRID = 1e-13  # of the grid that makes an operation of GEOS sturdy, relative to the largest coordinate: its rounding
 FAR = 16  # exponent of coordinates that are brought near 1 before GEOS multiplies them
 APART = 16  # exponent of the ratio of two coordinates beyond which one grid does not suit both
 LARGEST = 2.0**400  # coordinates whose products GEOS can form
-CERTAIN = 2.0**-50  # a turn is certain beyond this share of its two products, whose differences and products round
 
 
 def overlay(operation: Callable[..., Shape], *shapes: Any) -> Shape:
@@ -34,7 +33,7 @@ def overlay(operation: Callable[..., Shape], *shapes: Any) -> Shape:
     Returns
     -------
     shapely geometry
-        In the second case with corners on a grid of `GRID` times the largest coordinate.
+        In the second case with corners on a grid of `GEOS_GRID` times the largest coordinate.
 
     Notes
     -----
@@ -49,11 +48,11 @@ def overlay(operation: Callable[..., Shape], *shapes: Any) -> Shape:
     size = sizes.max()
     try:
         found = operation(*shapes)
-        if operation not in (shapely.union_all, shapely.union) or _holds(found, np.hstack(shapes), GRID * size):
+        if operation not in (shapely.union_all, shapely.union) or _holds(found, np.hstack(shapes), GEOS_GRID * size):
             return found
     except shapely.errors.GEOSException:
         pass
-    return operation(*shapes, grid_size=GRID * size)
+    return operation(*shapes, grid_size=GEOS_GRID * size)
 
 
 def _holds(union: Shape, parts: Any, tol: float) -> bool:
@@ -159,4 +158,4 @@ def _from(ring: list[Any], corner: Any) -> list[Any]:
 def _turns_left(p: Any, q: Any, r: Any) -> bool:
     """Whether p, q, r turn to the left by more than rounding explains."""
     left, right = (q[0] - p[0]) * (r[1] - q[1]), (q[1] - p[1]) * (r[0] - q[0])
-    return left - right > CERTAIN * (abs(left) + abs(right))
+    return left - right > EXPRESSION * (abs(left) + abs(right))

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tolerances import EXPRESSION, NEEDLE_TIP, SMALL_PRODUCTS
 from ..typing import Array
 from .compilation import Kernel
 
@@ -19,9 +20,6 @@ Flags = NDArray[np.bool_]
 EMPTY = 0  # what `polygon` says of a set: see there
 DOUBTFUL = 1
 FAT = 2
-ROUNDING = 2.0**-50  # covers what a few operations round off, relative to the sum of the sizes of their terms
-LEAST = 1e-290  # covers what they lose where numbers are too small for a float's full precision
-NEEDLE = 1e-3  # two rows of length about 1 meet well if their determinant is at least this
 
 
 @Kernel
@@ -58,7 +56,7 @@ def _exponents(H: Array, h: Array, unit: Ints) -> None:
 def _in_units(H: Array, h: Array, unit: Ints, row: Array, offset: Array) -> bool:
     """Rows H x <= h for x in units of 2^unit, each scaled by a power of two to entries below 1: row z <= offset.
 
-    Returns False if an offset is too large for that. Rounding occurs only far below `LEAST`.
+    Returns False if an offset is too large for that. Rounding occurs only far below `SMALL_PRODUCTS`.
     """
     for r in range(len(h)):
         most = -10000
@@ -150,7 +148,7 @@ def _corners(row: Array, offset: Array, parallel: float, tol: float) -> tuple[in
     size = max(far[0], far[1])
     distinct, apart = _merge(found, sine, tol * size)
     local = around(found[:distinct])
-    if len(local) < 3 or sine[:distinct].min() < NEEDLE or (most - least < 1e-3 * far).any() or size > 2.0**64:
+    if len(local) < 3 or sine[:distinct].min() < NEEDLE_TIP or (most - least < 1e-3 * far).any() or size > 2.0**64:
         return DOUBTFUL, local, far
     if apart > 2.0**-44 * size:
         return DOUBTFUL, local, far
@@ -276,9 +274,9 @@ def _dual(v0: float, v1: float, local: Array, row: Array, offset: Array) -> tupl
         p, q = max((v0 * b1 - v1 * b0) / turn, 0.0), max((a0 * v1 - a1 * v0) / turn, 0.0)
     else:
         p, q = max(v0 * a0 + v1 * a1, 0.0) / (a0 * a0 + a1 * a1), 0.0
-    value = p * offset[i] + q * offset[j] + ROUNDING * (abs(p * offset[i]) + abs(q * offset[j])) + LEAST
-    rest0 = abs(v0 - p * a0 - q * b0) + ROUNDING * (abs(v0) + abs(p * a0) + abs(q * b0)) + LEAST
-    rest1 = abs(v1 - p * a1 - q * b1) + ROUNDING * (abs(v1) + abs(p * a1) + abs(q * b1)) + LEAST
+    value = p * offset[i] + q * offset[j] + EXPRESSION * (abs(p * offset[i]) + abs(q * offset[j])) + SMALL_PRODUCTS
+    rest0 = abs(v0 - p * a0 - q * b0) + EXPRESSION * (abs(v0) + abs(p * a0) + abs(q * b0)) + SMALL_PRODUCTS
+    rest1 = abs(v1 - p * a1 - q * b1) + EXPRESSION * (abs(v1) + abs(p * a1) + abs(q * b1)) + SMALL_PRODUCTS
     return value, rest0, rest1
 
 
@@ -292,7 +290,7 @@ def _extent(local: Array, row: Array, offset: Array) -> float:
     for v0, v1 in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
         value, rest0, rest1 = _dual(v0, v1, local, row, offset)
         most, left = max(most, value), max(left, rest0 + rest1)
-    return most / (1 - left) * (1 + ROUNDING) + LEAST if left < 0.5 else np.inf
+    return most / (1 - left) * (1 + EXPRESSION) + SMALL_PRODUCTS if left < 0.5 else np.inf
 
 
 @Kernel
@@ -327,20 +325,20 @@ def inclusion(V: Array, w: Array, local: Array, row: Array, offset: Array, unit:
         v0, v1 = np.ldexp(V[k, 0], unit[0] - most), np.ldexp(V[k, 1], unit[1] - most)
         limit = np.ldexp(w[k], -most)
         value, rest0, rest1 = _dual(v0, v1, local, row, offset)
-        value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
-        if value + ROUNDING * abs(value) + LEAST <= limit:
+        value = value + (rest0 + rest1) * extent * (1 + EXPRESSION)
+        if value + EXPRESSION * abs(value) + SMALL_PRODUCTS <= limit:
             answer[k] = 1
             continue
         best, _, _ = _tight_pair(v0, v1, local, row, offset)
         x0, x1 = local[best, 0], local[best, 1]
-        if v0 * x0 + v1 * x1 - ROUNDING * (abs(v0 * x0) + abs(v1 * x1)) - LEAST <= limit:
+        if v0 * x0 + v1 * x1 - EXPRESSION * (abs(v0 * x0) + abs(v1 * x1)) - SMALL_PRODUCTS <= limit:
             continue
         for shift in (2.0**-40, 2.0**-20):  # a point a little inside
             z0, z1 = x0 + (x - x0) * shift, x1 + (y - x1) * shift
-            inside = v0 * z0 + v1 * z1 - ROUNDING * (abs(v0 * z0) + abs(v1 * z1)) - LEAST > limit
+            inside = v0 * z0 + v1 * z1 - EXPRESSION * (abs(v0 * z0) + abs(v1 * z1)) - SMALL_PRODUCTS > limit
             for r in range(len(offset)):
                 terms = abs(row[r, 0] * z0) + abs(row[r, 1] * z1) + abs(offset[r])
-                inside &= row[r, 0] * z0 + row[r, 1] * z1 - offset[r] + ROUNDING * terms + LEAST <= 0
+                inside &= row[r, 0] * z0 + row[r, 1] * z1 - offset[r] + EXPRESSION * terms + SMALL_PRODUCTS <= 0
             if inside:
                 answer[k] = -1
                 break
@@ -362,8 +360,8 @@ def dual_bounds(V: Array, local: Array, row: Array, offset: Array, unit: Ints) -
         if most > -10000:
             v0, v1 = np.ldexp(V[k, 0], unit[0] - most), np.ldexp(V[k, 1], unit[1] - most)
             value, rest0, rest1 = _dual(v0, v1, local, row, offset)
-            value = value + (rest0 + rest1) * extent * (1 + ROUNDING)
-            bound[k] = np.ldexp(value + ROUNDING * abs(value) + LEAST, most)
+            value = value + (rest0 + rest1) * extent * (1 + EXPRESSION)
+            bound[k] = np.ldexp(value + EXPRESSION * abs(value) + SMALL_PRODUCTS, most)
     return bound
 
 

@@ -15,8 +15,9 @@ from scipy.spatial import ConvexHull, QhullError
 from ..arithmetic import rational
 from ..arithmetic.rational import above, below, binary, nearest
 from ..arithmetic.scaling import normal_rows
+from ..tolerances import EXPRESSION, SMALLEST, TOUCH, TURN
 from ..typing import Array, IntArray
-from .convex_set import LEAST, ROUNDING, TOUCH, ConvexSet, Rational, top_exponent
+from .convex_set import ConvexSet, Rational, top_exponent
 from .facets import Frame, image, rank, scaled
 from .kernels import hull
 from .templates import box_directions
@@ -24,7 +25,6 @@ from .templates import box_directions
 if TYPE_CHECKING:
     from .polytope import Polytope
 
-TURN = 1e-12  # points are no corners of a hull where its boundary turns by a smaller sine
 MOST = 2**900  # rows with a larger entry, or with none above its inverse, are scaled before they are rounded
 WIDE = np.pi - 1e-2  # between the normals of two neighbouring sides: they meet in a needle's tip
 
@@ -214,5 +214,5 @@ def _rows_around(normals: Array, unit: IntArray, points: Array) -> Rows:
             H = np.vstack([H, np.eye(2), -np.eye(2)])
     H = np.array([*{row.tobytes(): row for row in H}.values()])
     exact = np.count_nonzero(H, axis=1) == 1  # rows of the coordinates, whose products do not round
-    terms = np.where(exact, 0, ROUNDING * (np.abs(points) @ np.abs(H).T) + LEAST)
+    terms = np.where(exact, 0, EXPRESSION * (np.abs(points) @ np.abs(H).T) + SMALLEST)
     return Rows(H, (points @ H.T + terms).max(axis=0))

@@ -12,13 +12,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from ..errors import SolverError
+from ..tolerances import INTEGRALITY, MIP_GAP, OPEN_BINARY
 from ..typing import Array, IntArray
 
-MIP_TOLERANCE = 1e-9  # feasibility in HiGHS's MILP; a binary this close to 0 or 1 counts as decided
-GAP = 1e-10  # between the bound of a MILP and its best point, at which the search may stop; relative and absolute
 BRANCHED = 16  # binaries up to which no incumbent of HiGHS's MILP solver is asked for before branching
 PROOF_NODES = 100_000  # of the search tree over more binaries, after which HiGHS's own bound may be returned
-OPEN = 1e-6  # a relaxed binary that is closer to an integer is branched on only if no other is open
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Stop(NamedTuple):
     seconds : float or None
     """
 
-    gap: float = GAP
+    gap: float = MIP_GAP
     enough: float = -np.inf
     nodes: int | None = None
     seconds: float | None = None
@@ -141,7 +139,7 @@ def branch(root: Node, order: IntArray, relaxation: Relaxation, binaries: IntArr
             raise SolverError("HiGHS found no bound of a MILP: its relaxation is unbounded")
         share = relaxed[binaries] if relaxed is not None else (low + high) / 2
         apart = np.minimum(share - low, high - share)
-        if apart.max(initial=0) <= MIP_TOLERANCE:
+        if apart.max(initial=0) <= INTEGRALITY:
             bound = max(bound, above)
             if relaxed is not None:
                 best, point = above, relaxed
@@ -155,7 +153,7 @@ def _children(node: Node, share: Array, apart: Array, order: IntArray) -> list[N
 
     `share` (binaries,) is the relaxed point, `apart` (binaries,) its distance to the limits of the node.
     """
-    undecided = np.flatnonzero(apart > min(OPEN, apart.max() / 2))
+    undecided = np.flatnonzero(apart > min(OPEN_BINARY, apart.max() / 2))
     chosen = undecided[np.argmin(order[undecided])]
     halves = []
     for value in (0.0, 1.0) if share[chosen] > 0.5 else (1.0, 0.0):
@@ -199,7 +197,7 @@ def prove(
         claimed = IntegerOptimum(np.inf, None, False, False)
     goal = stop.enough
     if claimed.finished and claimed.bound > -np.inf:
-        goal = max(goal, claimed.bound + MIP_TOLERANCE * (1 + abs(claimed.bound)))
+        goal = max(goal, claimed.bound + INTEGRALITY * (1 + abs(claimed.bound)))
     left = remaining()
     found = search(Stop(stop.gap, goal, PROOF_NODES, None if left is None else max(left, 0.0)))
     if found.point is None and claimed.point is not None:

@@ -18,13 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SolverError
+from ..tolerances import FEASIBILITY, INTEGRALITY, LOOSE_BOUND, MIP_GAP, TINY_COEFFICIENT
 from ..typing import Array, ArrayLike, IntArray
-from .branch_and_bound import BRANCHED, GAP, MIP_TOLERANCE, IntegerOptimum, Node, Stop, branch, prove
+from .branch_and_bound import BRANCHED, IntegerOptimum, Node, Stop, branch, prove
 from .weak_duality import Row, Rows, joint_limits
 
-TOLERANCE = 1e-10  # HiGHS keeps constraints and reduced costs to within this, in units of the scaled row
-TINY = 1e-12  # HiGHS leaves out coefficients that are not larger, and cannot be told to keep them
-LOOSE = 1e-8  # a bound further above what HiGHS attains may be better with other multipliers (relative to 1 + it)
 RELAXED = (1e-9, 1e-7, 1e-5, 1e-3)  # rows are widened by this where HiGHS finds no point and no proof of that
 WELL_SCALED = 2.0**-10  # HiGHS's own bound is not used where a row has coefficients of more different sizes
 
@@ -96,9 +94,9 @@ class LinearProgram:
         options: dict[str, Any] = {
             "output_flag": False,  # first: HiGHS prints its name and version with the first thing that it logs
             "presolve": "off",
-            "primal_feasibility_tolerance": TOLERANCE,
-            "dual_feasibility_tolerance": TOLERANCE,
-            "small_matrix_value": TINY,
+            "primal_feasibility_tolerance": FEASIBILITY,
+            "dual_feasibility_tolerance": FEASIBILITY,
+            "small_matrix_value": TINY_COEFFICIENT,
         }
         for name, setting in options.items():
             self.highs.setOptionValue(name, setting)
@@ -175,8 +173,8 @@ class LinearProgram:
         """Add lower <= coefficients x[columns] <= upper, for distinct columns.
 
         The row is multiplied by the power of two that brings its largest coefficient into [1/2, 1), so that its length
-        does not matter. `bound` proves with these coefficients. HiGHS is given the row without those up to `TINY`,
-        widened by what they can contribute where their variables have limits.
+        does not matter. `bound` proves with these coefficients. HiGHS is given the row without those up to
+        `TINY_COEFFICIENT`, widened by what they can contribute where their variables have limits.
         """
         coefficients = np.asarray(coefficients, float)
         lower = float(lower)
@@ -193,7 +191,7 @@ class LinearProgram:
         self._cached_rows = None
         self._entries.append(Row(indices, coefficients, lower, upper))
         self._powers.append(power)
-        tiny = np.abs(coefficients) <= TINY
+        tiny = np.abs(coefficients) <= TINY_COEFFICIENT
         if tiny.any():
             left_out = indices[tiny]
             most = np.abs(coefficients[tiny]) * np.maximum(np.abs(self.lower[left_out]), np.abs(self.upper[left_out]))
@@ -285,7 +283,7 @@ class LinearProgram:
         columns: ArrayLike,
         coefficients: ArrayLike,
         *,
-        gap: float = GAP,
+        gap: float = MIP_GAP,
         enough: float = -np.inf,
         nodes: int | None = None,
         time_limit: float | None = None,
@@ -348,7 +346,7 @@ class LinearProgram:
         for name, setting in {
             "mip_rel_gap": float(stop.gap),
             "mip_abs_gap": float(stop.gap),
-            "mip_feasibility_tolerance": MIP_TOLERANCE,
+            "mip_feasibility_tolerance": INTEGRALITY,
             "mip_heuristic_run_feasibility_jump": False,  # two thirds of the time on a model with few binaries
             "mip_max_nodes": highspy.kHighsIInf if stop.nodes is None else stop.nodes,
             "time_limit": np.inf if stop.seconds is None else self.highs.getRunTime() + stop.seconds,  # of all its runs
@@ -422,7 +420,7 @@ class LinearProgram:
                     bound = rows.bound(c, self._multipliers(), lower, upper)
                     if bound <= best:
                         best, point = bound, relaxed.point
-                    if bound <= relaxed.value + LOOSE * (1 + abs(relaxed.value)):
+                    if bound <= relaxed.value + LOOSE_BOUND * (1 + abs(relaxed.value)):
                         break
             if point is None:
                 best, point = self._proven_by_wider_rows(c, lower, upper)

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from ..tolerances import ROUNDOFF, UNDERFLOW
 from ..typing import Array
 
-ROUNDOFF = 2.0**-52  # twice the unit roundoff: a sum of k terms is off by less than k ROUNDOFF times their sizes
-UNDERFLOW = 2.0**-1000  # more than all products lose that are too small for a float
 DENSE = 100_000  # entries up to which a matrix of rows is kept dense, for speed
 
 Matrix: TypeAlias = Any  # an Array, or a csr_array of scipy, which has no types

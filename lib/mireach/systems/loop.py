@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from ..checks import real_array, require_columns, require_kind, whole_number
 from ..sets.polytope import Polytope
+from ..tolerances import AT_REST, OUTSIDE_X, SAMPLED_INPUT
 from ..typing import Array, ArrayLike, IntArray
 from .network import MaxoutNetwork
 from .pwa import PWASystem
 
-OUTSIDE = 1e-7  # a state this far outside of X counts as outside (relative to the size of X)
-AT_REST = 1e-11  # a step that moves a state by less leaves it where it is (relative to the size of X)
-ROUNDING = 1e-9  # by which Phi may leave U at a sampled state (relative to the terms of the row)
 SAMPLES = 200  # states of X at which Phi(x) in U is sampled
 NOMINAL_STEPS = 100  # of the nominal loop towards a fixed point, before the fixed point is solved for
 FURTHER_STARTS = 50  # random states from which fixed points that repel are searched
@@ -234,7 +232,7 @@ class ClosedLoop:
     def _outside(self, x: Array) -> NDArray[np.bool_]:
         """Whether states (N, n) lie outside of X, or are not finite: (N,) of bool."""
         X = self.system.state_set
-        limit = X.h + OUTSIDE * (np.abs(X.H) @ self._size)
+        limit = X.h + OUTSIDE_X * (np.abs(X.H) @ self._size)
         inside = np.all(np.nan_to_num(x) @ X.H.T <= limit, axis=-1)
         return ~(np.all(np.isfinite(x), axis=-1) & inside)
 
@@ -274,7 +272,7 @@ def _require_inputs(network: MaxoutNetwork, input_set: Polytope, states: Array) 
     """Raise ValueError if Phi leaves U at one of `states` (N, n) by more than rounding."""
     inputs = network(states)
     excess = inputs @ input_set.H.T - input_set.h
-    beyond = excess - ROUNDING * (np.abs(inputs) @ np.abs(input_set.H).T + np.abs(input_set.h))
+    beyond = excess - SAMPLED_INPUT * (np.abs(inputs) @ np.abs(input_set.H).T + np.abs(input_set.h))
     worst = int(np.argmax(beyond.max(axis=-1)))
     if beyond[worst].max() > 0:
         raise ValueError(input_message(excess[worst].max(), states[worst], inputs[worst]))

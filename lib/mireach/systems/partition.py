@@ -7,8 +7,7 @@ import numpy as np
 
 from ..arithmetic.rational import binary, dot, nearest, strict_point
 from ..sets.polytope import Polytope
-
-OPPOSITE = 1e-6  # rows whose unit normals add up to less than this name the same boundary from both sides
+from ..tolerances import OPPOSITE_NORMALS
 
 Point: TypeAlias = tuple[Any, ...]  # of fmpq
 Row: TypeAlias = tuple[Point, Any]  # a and b of a z <= b
@@ -54,7 +53,7 @@ def narrow_gap(point: Point, regions: Sequence[Polytope]) -> str:
         (one[3] + other[3], one, other)
         for i, one in enumerate(outside)
         for other in outside[:i]
-        if one[0] != other[0] and np.abs(one[2] + other[2]).max() <= OPPOSITE
+        if one[0] != other[0] and np.abs(one[2] + other[2]).max() <= OPPOSITE_NORMALS
     ]
     if not pairs:
         return ""

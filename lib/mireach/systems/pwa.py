@@ -11,10 +11,9 @@ import numpy as np
 from ..arithmetic.rational import nearest
 from ..checks import real_array, require_columns, require_kind
 from ..sets.polytope import Polytope
+from ..tolerances import OVERLAP
 from ..typing import Array, ArrayLike, IntArray
 from .partition import narrow_gap, uncovered_point
-
-OVERLAP = 1e-7  # radius of the smallest ball that counts as an overlap of regions (relative to the size of X and U)
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -13,12 +13,12 @@ import torch
 from torch import nn
 
 from ..checks import real_array, require_columns
+from ..tolerances import SMALL_PRODUCTS
 from ..typing import Array
 from .network import Layer, MaxoutNetwork
 
 COMPARED_SIZES = (1e-3, 1.0, 1e3, 1e6)  # of the inputs at which an imported network is compared with its module
 COMPARED_POINTS = 50  # inputs of each size
-UNDERFLOW = 1e-290  # times the machine epsilon, more than the smallest normal number: what underflow may cut off
 
 
 class Maxout(nn.Module):
@@ -173,8 +173,8 @@ def _rounding(parts: Iterable[nn.Module], x: Array) -> Array:
     for part in parts:
         if isinstance(part, nn.Linear):
             W, b = _linear(part)
-            size = (size + UNDERFLOW) @ np.abs(W).T + np.abs(b)
+            size = (size + SMALL_PRODUCTS) @ np.abs(W).T + np.abs(b)
             operations += 2 * (W.shape[1] + 2)
         elif isinstance(part, Maxout):
             size = size.reshape(len(size), -1, part.pool).max(axis=-1)
-    return operations * np.finfo(float).eps * (size + UNDERFLOW)
+    return operations * np.finfo(float).eps * (size + SMALL_PRODUCTS)

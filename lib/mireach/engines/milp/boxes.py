@@ -16,14 +16,12 @@ from functools import cached_property
 import numpy as np
 
 from ...sets.polytope import Polytope
-from ...solvers.weak_duality import ROUNDOFF
 from ...systems.loop import ClosedLoop
 from ...systems.network import Layer
 from ...systems.pwa import PWASystem
+from ...tolerances import MODE_BOUNDARY, ROUNDOFF
 from ...typing import Array, BoolArray, IntArray
 from ..bounds import proven_box
-
-ON_BOUNDARY = 1e-8  # a mode whose rows are violated by less than this and rounding counts as met (units of h)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +78,7 @@ class Boxes:
         n = P.dimension
         nearest = self.middle[:, :n] @ P.H.T - self.half_width[:, :n] @ np.abs(P.H).T
         nearest -= 2 * _rounding(n) * (self.size[:, :n] @ np.abs(P.H).T)
-        return np.logical_and.reduce(nearest <= P.h + ON_BOUNDARY * (1 + np.abs(P.h)), axis=1)
+        return np.logical_and.reduce(nearest <= P.h + MODE_BOUNDARY * (1 + np.abs(P.h)), axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +258,7 @@ def bound_loop(loop: ClosedLoop, boxes: Boxes, steps: int = 1) -> LoopBounds:
     for j in range(steps):
         if j:
             X = system.state_set
-            possible &= (-highest(boxes, -X.H, X.h, state) <= ON_BOUNDARY * (1 + np.abs(X.h[:, None]))).all(axis=0)
+            possible &= (-highest(boxes, -X.H, X.h, state) <= MODE_BOUNDARY * (1 + np.abs(X.h[:, None]))).all(axis=0)
             low, high = proven_box(X)
             least, most = np.maximum(state.least, low[:, None]), np.minimum(state.most, high[:, None])
             state = Values(state.low, state.high, least, most, state.size)
@@ -432,7 +430,7 @@ def _met(system: PWASystem, boxes: Boxes, xu: Values) -> BoolArray:
     for mode in system.modes:
         H, h = mode.region.H, mode.region.h
         deepest = highest(boxes, -H, h, xu)
-        met.append((deepest >= -ON_BOUNDARY).all(axis=0))
+        met.append((deepest >= -MODE_BOUNDARY).all(axis=0))
     return np.array(met)
 
 

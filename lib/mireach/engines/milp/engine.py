@@ -26,8 +26,18 @@ import numpy as np
 from ...checks import positive_number, real_array, whole_number
 from ...errors import SolverError, SolverStopped
 from ...sets.polytope import Polytope
-from ...solvers.branch_and_bound import BRANCHED, GAP, MIP_TOLERANCE
+from ...solvers.branch_and_bound import BRANCHED
 from ...systems.loop import ClosedLoop
+from ...tolerances import (
+    INPUT_TOLERANCE,
+    INTEGRALITY,
+    LOOSE_MILP_BOUND,
+    MILP_MARGIN,
+    MILP_RESOLUTION,
+    MIP_GAP,
+    NEEDLE_POINT,
+    WRONG_BOUND,
+)
 from ...typing import Array, ArrayLike, BoolArray, IntArray
 from ..attained import Attained, Path, attained
 from ..base import COUNTED, SOLVER, Engine, Support, Witness, checked_query, empty_support, replay
@@ -36,12 +46,7 @@ from .boxes import Boxes, LoopBounds, StepBounds, bound_loop
 from .formulation import Model, build, build_inputs, root_box
 
 FORMULATIONS = ("split", "whole", "paper")
-MARGIN = 2e-10  # a bound may stay above the value by this, MIP_TOLERANCE and the gap (relative to 1 + it)
-LOOSE = 1e-7  # a bound further above the best trajectory is computed again with smaller big-M (relative to 1 + it)
-DOUBT = 1e-6  # a trajectory that exceeds the bound by more shows that the bound is wrong (relative to 1 + its size)
-OUTSIDE = 1e-11  # a point of a linear program further outside its polytope lies beyond the tip of a needle
 KEPT = 6  # best trajectories per direction: rational arithmetic may reject some of them
-INPUT_TOLERANCE = 1e-7  # how far Phi may leave U, for rounding (relative to 1 + the size of the limit)
 FEW = 8  # binaries per step of a box that is not split further
 MANY = 40  # boxes solved for one direction, divided by k^2, after which one model of all of F settles it
 NARROW = 1e-4  # a box is not split along a side shorter than this (relative to 1 + where it is)
@@ -87,12 +92,12 @@ class Milp(Engine):
     """
 
     name: ClassVar[str] = "milp"
-    resolution: ClassVar[float] = 1e-6
+    resolution: ClassVar[float] = MILP_RESOLUTION
 
     formulation: str = "split"
     bounds: str = "lp"
     time_limit: float | None = None
-    gap: float = GAP
+    gap: float = MIP_GAP
     jobs: int | None = None
 
     def __post_init__(self) -> None:
@@ -323,7 +328,7 @@ class _Answer:
 
 def _above(value: Array | float, gap: float = 0.0) -> Array:
     """A bound that is close enough above an attained value."""
-    return value + np.where(np.isfinite(value), MIP_TOLERANCE + (MARGIN + gap) * (1 + np.abs(value)), 0)
+    return value + np.where(np.isfinite(value), INTEGRALITY + (MILP_MARGIN + gap) * (1 + np.abs(value)), 0)
 
 
 # -- branch and bound over boxes ----------------------------------------------------------------------
@@ -467,7 +472,7 @@ class _Leaves:
                 break
             quick = "interval" if self.simple[index] else careful
             bound = min(self.solve(index, quick, answer, cutoff), upper[index])
-            loose = bound > max(answer.value + LOOSE * (1 + abs(bound)), cutoff)
+            loose = bound > max(answer.value + LOOSE_MILP_BOUND * (1 + abs(bound)), cutoff)
             if answer.finished and loose and quick != careful:
                 bound = min(bound, self.solve(index, careful, answer, cutoff))  # smaller big-M
             answer.bound = max(answer.bound, bound)
@@ -593,7 +598,7 @@ def _extreme_points(P: Polytope, V: Array) -> Array:
     """
     points = support_vectors(P, V)
     excess = (points @ P.H.T - P.h).max(axis=1)
-    return points[excess <= max(OUTSIDE, excess.min())]
+    return points[excess <= max(NEEDLE_POINT, excess.min())]
 
 
 # -- one model ----------------------------------------------------------------------------------------
@@ -665,7 +670,7 @@ def violating_state(loop: ClosedLoop, U: Polytope, bounds: str = "lp", time_limi
     if not open_rows.any():
         return None
     V, limits = U.H[open_rows], limits[open_rows]
-    problem = _Problem(loop, X, V, 1, bounds, GAP, end, np.full(len(V), np.inf), inputs=True)
+    problem = _Problem(loop, X, V, 1, bounds, MIP_GAP, end, np.full(len(V), np.inf), inputs=True)
     for answer, limit in zip(_split(problem, limits, 1)[0], limits):
         if answer.bound <= limit:
             continue
@@ -687,7 +692,7 @@ def _require_consistent(V: Array, bound: Array, witness: Sequence[Witness | None
     values = (ends @ V.T).max(axis=0, initial=-np.inf)
     excess = values - bound
     worst = int(np.argmax(excess))
-    if excess[worst] > DOUBT * (1 + abs(values[worst])):
+    if excess[worst] > WRONG_BOUND * (1 + abs(values[worst])):
         raise SolverError(
             f"direction {V[worst].tolist()} has the bound {bound[worst]:.9g}, but a trajectory exceeds it by "
             f'{excess[worst]:.3g}; try another formulation, or engine="cells" for two states'

@@ -17,10 +17,10 @@ import numpy as np
 
 from ...sets.polytope import Polytope
 from ...solvers.linear_program import LinearProgram
-from ...solvers.weak_duality import ROUNDOFF
 from ...systems.loop import ClosedLoop
 from ...systems.network import MaxoutNetwork
 from ...systems.pwa import Mode, PWASystem
+from ...tolerances import ROUNDOFF
 from ...typing import Array, BoolArray, IntArray
 from ..bounds import METHODS, SAFETY, lower_bound, proven_box, upper_bound
 from .boxes import Boxes, LayerBounds, StepBounds, Values, bound_loop
