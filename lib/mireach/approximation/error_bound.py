@@ -94,7 +94,13 @@ class ErrorProof:
         return Polytope(self.directions, self.bound[mode])
 
     def shifted(self, before: Array, after: Array) -> "ErrorProof":
-        """The same proof for modes whose p went from `before` to `after`, arrays (s, n)."""
+        """The same proof for modes with another p.
+
+        Parameters
+        ----------
+        before, after : array (s, n)
+            p of every mode, then and now.
+        """
         bound = np.array([_shift(*row, self.directions) for row in zip(self.bound, before, after)])
         return replace(self, bound=bound, attained=self.attained - (after - before) @ self.directions.T)
 

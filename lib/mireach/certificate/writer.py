@@ -74,7 +74,18 @@ def write(
     plant: NonlinearSystem | None = None,
     engine: Engine | str | None = None,
 ) -> Certificate:
-    """`make` a certificate and write it to a file."""
+    """`make` a certificate and write it to a file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    loop, safe, terminal, plant, engine
+        As in `make`.
+
+    Returns
+    -------
+    Certificate
+    """
     made = make(loop, safe, terminal, plant=plant, engine=engine)
     made.save(path)
     return made

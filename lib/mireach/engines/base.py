@@ -216,7 +216,12 @@ class Engine(ABC):
         return self.name
 
     def within(self, seconds: float) -> "Engine":
-        """This engine with another time limit."""
+        """This engine with another time limit.
+
+        Parameters
+        ----------
+        seconds : float
+        """
         return replace(self, time_limit=seconds)  # type: ignore[type-var]  # a subclass is a dataclass
 
     @abstractmethod

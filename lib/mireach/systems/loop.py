@@ -74,7 +74,12 @@ class ClosedLoop:
         return f"ClosedLoop({sizes}, {self.network.binaries} binaries)"
 
     def with_disturbance(self, disturbance: Polytope | list[Polytope] | tuple[Polytope, ...]) -> "ClosedLoop":
-        """The same loop with other disturbance sets, in units of x (one Polytope, or one per mode).
+        """The same loop with other disturbance sets.
+
+        Parameters
+        ----------
+        disturbance : Polytope, or a sequence of one Polytope per mode
+            In R^n, in units of x.
 
         See Also
         --------

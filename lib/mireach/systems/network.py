@@ -71,7 +71,17 @@ class Layer:
         return len(self.bias) // self.pool
 
     def channels(self, y: Array) -> Array:
-        """W y + b by neuron: (..., w_previous) -> (..., w, pool)."""
+        """W y + b by neuron.
+
+        Parameters
+        ----------
+        y : array (..., w_previous)
+            Output of the layer before.
+
+        Returns
+        -------
+        array (..., w, pool)
+        """
         z = y @ self.weight.T + self.bias
         return z.reshape(*z.shape[:-1], self.width, self.pool)
 
