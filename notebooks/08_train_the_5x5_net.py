@@ -326,7 +326,7 @@ for name, (network, _, _) in names.items():
 #
 # ## On your own
 #
-# - Train with `seed=2` and `seed=3`. Does the cut along the diagonal change? Do the safe sets?
+# - Train with `rng=2` and `rng=3`. Does the cut along the diagonal change? Do the safe sets?
 # - Train with `steps=300`. Is the loop still certified?
 # - Add the states that leave $\mathcal{X}$ to the training data, with $u = 2$ or $u = -2$, whichever brakes. Does the
 #   search for a safe set need fewer iterations?

@@ -231,6 +231,8 @@ def plot_vector_field(
     step: Callable[[Array], Array],
     path: Array,
     reach: Sequence[Polytope],
+    *,
+    arrows: int = ARROWS,
 ) -> None:
     """Figure 3: the loop's vector field in F_max, one trajectory, and the reachable sets around its states.
 
@@ -242,12 +244,14 @@ def plot_vector_field(
         The trajectory of the plant.
     reach : list of Polytope
         R_i-bar of its first state, i = 1, ..., k.
+    arrows : int
+        Per axis of the box around F_max.
     """
     draw_regions(ax, system)
     F = _set_of(safe)
     draw_set(ax, F, **SAFE, label=r"$\mathcal{F}_{\max}$")
     lower, upper = F.bounding_box()
-    grid = np.stack(np.meshgrid(*np.linspace(lower, upper, ARROWS).T), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(*np.linspace(lower, upper, arrows).T), axis=-1).reshape(-1, 2)
     grid = grid[F.contains(grid)]
     move = step(grid) - grid
     ax.quiver(*grid.T, *move.T, color="#777777", angles="xy", scale_units="xy", scale=4, width=0.002, zorder=1.5)

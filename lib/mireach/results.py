@@ -19,13 +19,16 @@ class Verdict(StrEnum):
 
     Examples
     --------
-    >>> Verdict("proven") is Verdict.PROVEN, Verdict.REFUTED == "refuted", f"{Verdict.UNKNOWN}"
+    >>> Verdict("proven") is Verdict.PROVEN, Verdict.REFUTED == "refuted", Verdict.UNKNOWN
     (True, True, 'unknown')
     """
 
     PROVEN = "proven"
     REFUTED = "refuted"
     UNKNOWN = "unknown"
+
+    def __repr__(self) -> str:
+        return repr(self.value)
 
 
 class Result:

@@ -224,7 +224,7 @@ def test_wrong_bound_of_the_solver_is_noticed(monkeypatch, formulation, wrong):
         return replace(found, bound=wrong(found.bound)) if v[0] == 1 else found
 
     monkeypatch.setattr(LinearProgram, "maximize_integer", too_low)
-    with pytest.raises(SolverError, match=r"\[1\.0, 0\.0\].* a trajectory passes this"):
+    with pytest.raises(SolverError, match=r"\[1\.0, 0\.0\].* a trajectory exceeds it"):
         Milp(formulation=formulation).support(loop, EVERYTHING[2], [[1.0, 0.0], [0.999, 0.001]])
 
 
@@ -236,7 +236,7 @@ def test_bound_is_not_lifted_to_what_simulation_attains(monkeypatch):
         return replace(found, bound=found.bound - 0.5, point=None)
 
     monkeypatch.setattr(LinearProgram, "maximize_integer", too_low)
-    with pytest.raises(SolverError, match="a trajectory passes this"):
+    with pytest.raises(SolverError, match="a trajectory exceeds it"):
         Milp().support(loop, EVERYTHING[2], [[1.0, 0.0]])
 
 

@@ -200,7 +200,7 @@ def train_case(name: str, seed: int, data: DataSet | None = None, **training: An
     definition = case_definition(name)
     data = DataSet.load(data_file(name, "samples.csv")) if data is None else data
     lower, upper = definition.plant().input_set.bounding_box()
-    options = {**definition.shape._asdict(), "lower": lower, "upper": upper, "seed": seed, **training}
+    options = {**definition.shape._asdict(), "lower": lower, "upper": upper, "rng": seed, **training}
     result = train(data.states, data.inputs, **options)
     return result.network, result.loss
 
