@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -444,6 +445,15 @@ def test_an_error_that_d_just_holds_is_proven_and_one_that_it_does_not_is_refute
     found = check(with_plant(mode(D={"H": SQUARE, "h": [0.2, 0.2, 0.0, 0.2]}), f=f))["error_set"]
     x = Fraction(found.witness["state"][0])
     assert x * x / 4 > Fraction(2, 10) and abs(x) <= 1
+
+
+def test_what_is_missing_from_a_certificate_proves_nothing():
+    """`Certificate.of` refuses such files; were one to pass, no claim would rest on what is not there."""
+    whole = checker.Certificate.of(checker.parse(json.dumps(with_plant(mode(), f=LINEAR))))
+    claims = checker.Claims(replace(whole, plant=None), checker.Budget(60))
+    assert claims.error_set({})[:2] == ("not checked", "the certificate names no plant")
+    assert checker.Claims(whole, checker.Budget(60)).error_set({})[0] == "proven"
+    assert claims._by_solver(0, 0)[0] == "not checked"
 
 
 def test_an_error_that_is_largest_inside_is_found():

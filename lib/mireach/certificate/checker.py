@@ -918,7 +918,9 @@ class Claims:
         """
         certificate, boxes = self.certificate, 0
         n, m = self.n, len(certificate.network.output)
-        zero = Fraction(0)
+        plant, zero = certificate.plant, Fraction(0)
+        if plant is None:
+            return unchecked("the certificate names no plant")
         limits = [((*a, *[zero] * m), b) for a, b in certificate.state_set]
         limits += [((*[zero] * n, *a), b) for a, b in certificate.input_set]
         for number, mode in enumerate(certificate.modes, start=1):
@@ -927,7 +929,7 @@ class Claims:
             if box is None:
                 return unchecked(f"single coordinates of the region of mode {number} have no limits")
             for a, b in mode.disturbance:
-                z, used = positive_somewhere(error_along(a, b, mode, certificate.plant or ()), box, rows, self._clock)
+                z, used = positive_somewhere(error_along(a, b, mode, plant), box, rows, self._clock)
                 if z is not None:
                     says = f"x = {show(z[:n])}, u = {show(z[n:])}: f - f_PWA is not in D of mode {number}"
                     return refuted(says, {"state": texts(z[:n]), "input": texts(z[n:]), "mode": number})
@@ -956,7 +958,9 @@ class Claims:
 
     def _by_solver(self, k: int | None = None, j: int = 0) -> Finding:
         """What a solver's bounds say, of R_1(R_k) in R_j if these are given; never a proof."""
-        solver, offsets = self.certificate.bounds or ("no solver", ())
+        if self.certificate.bounds is None:
+            return unchecked("the certificate holds no bounds of a solver")
+        solver, offsets = self.certificate.bounds
         for bound, (_, b) in zip(offsets[k], self.sets[j]) if k is not None else ():
             if bound > b:
                 return refuted(f"the bounds of {solver} do not show that R_1(R_{k}) lies in R_{j}")
@@ -1096,7 +1100,9 @@ class Claims:
             if after is not None and dot(a, after) > b:
                 x = near
                 break
-        after = self._replay(k, number, x, d) or ()
+        after = self._replay(k, number, x, d)
+        if after is None:
+            return unchecked("a step out of the set was found, but it does not replay")
         step = {"state": texts(x), "mode": number + 1, "disturbance": texts(d), "after": texts(after)}
         leads = f"mode {number + 1} and d = {show(d)} lead to {show(after)}"
         outside = f"outside {name(j)} by {about(dot(a, after) - b)}"
