@@ -235,14 +235,6 @@ def make_four_tanks_data(
     return _collect(_uniform(four_tanks_plant().state_set, rng, count), _solve_four_tanks, progress, jobs)
 
 
-MAKERS: dict[str, Callable[..., DataSet]] = {
-    "pwa": make_pwa_data,
-    "double_integrator": make_double_integrator_data,
-    "three_tanks": make_three_tanks_data,
-    "four_tanks": make_four_tanks_data,
-}
-
-
 def _solve_pwa(states: Array, show: Show) -> Solutions:
     """Solutions of case study 1."""
     system = pwa_plant()

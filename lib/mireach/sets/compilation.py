@@ -29,7 +29,7 @@ class Kernel:
     Parameters
     ----------
     function : callable
-        In the part of Python that numba supports. Without numba it is called as it is, which is about 100 times slower,
+        In the part of Python that numba supports. Without numba it is called as it is, which is much slower,
         with floating-point warnings off, since compiled code gives none. There `math.ldexp` raises where it overflows,
         while `np.ldexp` gives inf in both.
 

@@ -677,7 +677,7 @@ def affine_pieces(
     that of another channel c where this one may be ahead: e_c + (z_c - z_j at the corners of the piece, where an affine
     function is largest) + |K_c - K_j| (width of the slits).
 
-    The function is long because it is faster so: to pass the stack on as one value cost up to a half more.
+    The function is long because splitting it made the cells slower.
     """
     points, starts = polygons
     net, scale = Layers(*network), Lengths(*lengths)
