@@ -18,7 +18,7 @@ from .engines.cells import Cells
 from .engines.cvxpy_model import Cvxpy
 from .engines.exact import Exact
 from .engines.milp.engine import Milp
-from .errors import CorruptFileError, MireachError, MissingExtraError, SolverError, SolverStopped
+from .errors import CellLimitError, CorruptFileError, MireachError, MissingExtraError, SolverError, SolverStopped
 from .results import Verdict
 from .sets.polytope import Polytope
 from .sets.region import Region
@@ -32,6 +32,7 @@ from .systems.pwa import Mode, PWASystem
 
 __all__ = [
     "Attractor",
+    "CellLimitError",
     "Cells",
     "ClosedLoop",
     "CorruptFileError",

@@ -10,6 +10,10 @@ class MireachError(Exception):
     """Base class of this package's own exceptions."""
 
 
+class CellLimitError(MireachError):
+    """The map falls into more cells than an engine keeps; the message says how many, and what to do instead."""
+
+
 class CorruptFileError(MireachError, ValueError):
     """A file is not what its name says: truncated, of another format, or with impossible numbers."""
 
