@@ -23,11 +23,13 @@ from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
 from ..tolerances import BOUND_GRID, CORNER, LARGE_IMAGE, OPPOSITE_ROWS, TOUCH
 from ..typing import Array, ArrayLike, IntArray
+from . import space
 from .base import Engine, LazySequence, Support, Witness, checked_query, empty_support, replay
 
 SHAPED = 16  # a polygon of X and a region counts for this many cuts, which bounds the rounding of its corners
 CUTS = 64  # consecutive cuts by rows of F that the errors of a cell allow for
 SHARP = 0.1  # tips whose angle has a smaller sine are cut off by an additional row, since rounding moves them far
+MOST_CELLS = 500_000  # default of `Cells.limit`
 MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall into
 
 
@@ -258,6 +260,7 @@ class Cells(Engine):
     """
 
     name: ClassVar[str] = "cells"
+    limit: int = MOST_CELLS
 
     def support(
         self,
@@ -284,6 +287,8 @@ class Cells(Engine):
             If the loop does not have two states, or the reachable set falls into too many pieces.
         """
         V, steps = checked_query(loop, F, V, steps)
+        if loop.system.state_size != 2:
+            return space.support(loop, F, V, steps, self.limit, warm_start)
         every = dynamics(loop)
         chosen = every.cells.all
         if steps == 1 and isinstance(warm_start, CellSupport):

@@ -1,0 +1,385 @@
+"""The cells of a closed loop with any number of states: the polytopes of X on which one mode acts and Phi is affine."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..arithmetic.rational import above, binary, dot, maximize, nearest
+from ..errors import CellLimitError
+from ..sets.cell_complex import CellComplex
+from ..sets.polytope import Polytope
+from ..sets.templates import box_directions
+from ..solvers.linear_program import LinearProgram
+from ..systems.loop import ClosedLoop
+from ..systems.network import MaxoutNetwork
+from ..tolerances import BOUND_GRID, CLOSE_BOUND, FLAT_IMAGE, LARGE_IMAGE, ROUNDOFF
+from ..typing import Array, IntArray
+from .base import LazySequence, Support, Witness, empty_support, replay
+
+MOST_PIECES = 2_000  # polytopes that a reachable set of several steps may fall into
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkCells:
+    """A covering of X by polytopes, each with one mode and one affine piece u = K x + g.
+
+    Attributes
+    ----------
+    complex : CellComplex
+        N cells. On a boundary that modes share, each of them has a cell, even if it is only a face or a point.
+    mode : array (N,) of int
+    K : array (N, m, n)
+    g : array (N, m)
+    error : array (N, m)
+        Upper bound of |K x + g - Phi(x)| on the cell.
+    """
+
+    complex: CellComplex
+    mode: IntArray
+    K: Array
+    g: Array
+    error: Array
+
+    def __len__(self) -> int:
+        return len(self.mode)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopCells:
+    """The cells of a loop with its nominal dynamics x+ = M x + c on each of them.
+
+    Attributes
+    ----------
+    cells : NetworkCells
+    M : array (N, n, n)
+    c : array (N, n)
+    error : array (N, n)
+        Upper bound of the error of every component of M x + c, from the rounding of M, c and what is computed of them.
+    unit : float
+        Bounds are rounded up to multiples of this power of two.
+    """
+
+    cells: NetworkCells
+    M: Array
+    c: Array
+    error: Array
+    unit: float
+
+    @cached_property
+    def all(self) -> IntArray:
+        """The indices of all cells: array (N,)."""
+        return np.arange(len(self.cells))
+
+    def images(self, points: Array, owner: IntArray) -> Array:
+        """M x + c at points (T, n) of the cells `owner` (T,): array (T, n)."""
+        found: Array = np.einsum("tij,tj->ti", self.M[owner], points) + self.c[owner]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceSupport(Support):
+    """A Support and the cells that are not yet ruled out for smaller sets.
+
+    Attributes
+    ----------
+    F : Polytope
+        The set whose reachable set it is.
+    every : LoopCells
+    left : array (q,) of int
+        All cells except those that do not meet F.
+    """
+
+    F: Polytope
+    every: LoopCells
+    left: IntArray
+
+
+class Piece(NamedTuple):
+    """A Polytope of states after some steps, and the chain of (part of a cell, cell) of the steps before."""
+
+    set: Polytope
+    chain: tuple[tuple[Polytope, int], ...]
+
+
+def dynamics(loop: ClosedLoop, limit: int) -> LoopCells:
+    """The cells of a closed loop in its own units, with x+ = M x + c on each of them: the same object for the same loop.
+
+    Raises
+    ------
+    CellLimitError
+        If there are more than `limit` cells.
+    """
+    found = _dynamics(loop, limit)
+    if isinstance(found, CellLimitError):
+        raise found
+    return found
+
+
+@lru_cache(maxsize=64)
+def _dynamics(loop: ClosedLoop, limit: int) -> LoopCells | CellLimitError:
+    """The cells, or the error that there are too many."""
+    system = loop.system
+    regions = tuple(mode.region for mode in system.modes)
+    try:
+        found = _cells(loop.network, regions, system.state_set, limit)
+    except CellLimitError as error:
+        return error
+    A, B, p = (maps[found.mode] for maps in system.maps)
+    extent, terms = found.complex.extent, system.state_size + system.input_size + 8
+    M, c = A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p
+    inputs = np.abs(found.K) @ extent + np.abs(found.g) + found.error
+    size = np.abs(A) @ extent + np.einsum("nij,nj->ni", np.abs(B), inputs) + np.abs(p)
+    error = np.einsum("nij,nj->ni", np.abs(B), found.error) + 2 * terms * ROUNDOFF * size
+    spread = max((float(np.abs(D.bounding_box()).max()) for D in {mode.disturbance for mode in system.modes}))
+    largest = max(1.0, float(size.max(initial=0.0)), spread)
+    return LoopCells(found, M, c, error, float(max(BOUND_GRID, LARGE_IMAGE * 2.0 ** np.ceil(np.log2(largest)))))
+
+
+@lru_cache(maxsize=64)
+def _cells(network: MaxoutNetwork, regions: tuple[Polytope, ...], X: Polytope, limit: int) -> NetworkCells:
+    """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u)."""
+    return _cut_by_inputs(_before_inputs(network, regions, X, limit), regions)
+
+
+@lru_cache(maxsize=64)
+def _before_inputs(network: MaxoutNetwork, regions: tuple[Polytope, ...], X: Polytope, limit: int) -> NetworkCells:
+    """The NetworkCells before they are cut by those rows of regions that involve u: they cover X for every mode."""
+    n, domains = X.dimension, []
+    for region in regions:
+        of_x = ~(region.H[:, n:] != 0).any(axis=1)
+        domains.append(Polytope(np.vstack([X.H, region.H[of_x, :n]]), np.concatenate([X.h, region.h[of_x]])))
+    modes = np.flatnonzero([not domain.is_empty for domain in domains])
+    layers = [(layer.weight, layer.bias, layer.pool) for layer in network.hidden] + [(network.weight, network.bias, 1)]
+    arrays = (
+        np.concatenate([weight.ravel() for weight, _, _ in layers]),
+        np.concatenate([bias for _, bias, _ in layers]),
+        np.array([n] + [len(bias) // pool for _, bias, pool in layers]),
+        np.array([pool for _, _, pool in layers]),
+    )
+    start = CellComplex.of([domains[mode] for mode in modes])
+    found, owner, K, g, error = start.affine_pieces(arrays, limit)
+    return NetworkCells(found, modes[owner], K, g, error)
+
+
+def _cut_by_inputs(found: NetworkCells, regions: tuple[Polytope, ...]) -> NetworkCells:
+    """Cut each cell by the rows of its mode's region that involve u, moved outward by the error of u."""
+    n = found.complex.dimension
+    own = [region.H[(region.H[:, n:] != 0).any(axis=1)] for region in regions]
+    offsets = [region.h[(region.H[:, n:] != 0).any(axis=1)] for region in regions]
+    counts = np.array([len(rows) for rows in own])[found.mode]
+    if not counts.any():
+        return found
+    cell = np.repeat(np.arange(len(found)), counts)
+    H, h = np.concatenate([own[i] for i in found.mode]), np.concatenate([offsets[i] for i in found.mode])
+    Hx, Hu, K = H[:, :n], H[:, n:], found.K[cell]
+    a, b = Hx + np.einsum("rm,rmi->ri", Hu, K), h - np.einsum("rm,rm->r", Hu, found.g[cell])
+    extent, inputs = found.complex.extent, np.abs(found.K) @ found.complex.extent + np.abs(found.g)
+    size = np.abs(Hx) @ extent + np.einsum("rm,rm->r", np.abs(Hu), inputs[cell]) + np.abs(h)
+    slack = np.einsum("rm,rm->r", np.abs(Hu), found.error[cell]) + (n + Hu.shape[1] + 8) * ROUNDOFF * size
+    ends = np.cumsum(counts)
+    part, kept = found.complex.clip(np.column_stack([a, b + slack]), ends - counts, ends)
+    return NetworkCells(part, found.mode[kept], found.K[kept], found.g[kept], found.error[kept])
+
+
+# -- queries ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The quantities along the rows v of V that do not depend on F.
+
+    Attributes
+    ----------
+    maps : tuple
+        The fields of `cell_kernels.Maps`.
+    spread : array (s, k)
+        Upper bounds of the support function of D^(i).
+    unit : array (k,)
+        Bounds are rounded up to multiples of it.
+    """
+
+    maps: tuple[Any, ...]
+    spread: Array
+    unit: Array
+
+
+@lru_cache(maxsize=32)
+def _rows(loop: ClosedLoop, limit: int, shape: tuple[int, ...], content: bytes) -> _Rows:
+    """The _Rows of an array of this shape and content."""
+    every, V = dynamics(loop, limit), np.frombuffer(content).reshape(shape).copy()
+    spread = np.array([mode.disturbance.bound(V) for mode in loop.system.modes])
+    maps = _maps(every, every.all, V, spread)
+    heights, tops = every.cells.complex.heights(maps)
+    unit = every.unit * 2.0 ** np.floor(np.log2(np.linalg.norm(V, axis=1).clip(1)))
+    return _Rows((*maps[:5], heights, tops, V), spread, unit)
+
+
+def _maps(every: LoopCells, cells: IntArray, V: Array, spread: Array) -> tuple[Any, ...]:
+    """The fields of `cell_kernels.Maps` of some cells, without what is known of whole cells."""
+    nothing = np.zeros((0, len(V)))
+    return (every.M[cells], every.c[cells], every.error[cells], every.cells.mode[cells], spread, nothing, nothing, V)
+
+
+def support(
+    loop: ClosedLoop, F: Polytope, V: Array, steps: int, limit: int, warm_start: Support | None = None
+) -> Support:
+    """h of R_k(F) along V by the cells: the answer of `cells.Cells` for more than two states."""
+    every = dynamics(loop, limit)
+    rows = _rows(loop, limit, V.shape, V.tobytes())
+    chosen = every.all
+    if steps == 1 and isinstance(warm_start, SpaceSupport) and warm_start.every is every:
+        if np.array_equal(F.H, warm_start.F.H) and (F.h <= warm_start.F.h).all():
+            chosen = warm_start.left
+    pieces = [Piece(F, ())]
+    for step in range(steps - 1):
+        pieces = _uncovered([image for piece in pieces for image in _images(loop, every, piece)])
+        if len(pieces) > MOST_PIECES:
+            raise CellLimitError(
+                f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, a smaller F, "
+                'or engine="milp"'
+            )
+    best = [_highest(every, rows, piece.set, chosen) for piece in pieces if not piece.set.is_empty]
+    if not best:
+        return empty_support(len(V))
+    tops = np.array([found.top for found in best])
+    end, k = tops.argmax(axis=0), np.arange(len(V))
+    value, top = np.array([found.value for found in best])[end, k], tops[end, k]
+    if not np.isfinite(top).all():
+        return empty_support(len(V))
+    witness = LazySequence(len(V), lambda k: _witness(loop, every, F, V[k], pieces[end[k]], best[end[k]], k))
+    bound = np.ceil(top / rows.unit + 0.05) * rows.unit
+    if steps > 1:
+        return Support(value, bound, witness)
+    return SpaceSupport(value, bound, witness, F, every, best[0].left)
+
+
+@dataclass(frozen=True, eq=False)
+class _Highest:
+    """Maxima over the part of a set in cells.
+
+    Attributes
+    ----------
+    value, top : array (k,)
+        The largest v x+, and its upper bound.
+    owner : array (k,) of int
+        The cell.
+    left : array (q,) of int
+        Cells that the set may meet.
+    points : dict
+        For rows that exact arithmetic decided: the state.
+    """
+
+    value: Array
+    top: Array
+    owner: IntArray
+    left: IntArray
+    points: dict[int, Array]
+
+
+def _highest(every: LoopCells, rows: _Rows, F: Polytope, chosen: IntArray) -> _Highest:
+    """The maxima over the states of F in chosen cells. Exact arithmetic decides where floats leave a gap."""
+    cells, tops = every.cells.complex, rows.maps[6]
+    found = cells.highest(rows.maps, np.column_stack([F.H, F.h]), chosen, CLOSE_BOUND)
+    value, top, owner, left, doubtful = found
+    points: dict[int, Array] = {}
+    V = rows.maps[7]
+    for j, k in doubtful.tolist():
+        if tops[j, k] <= top[k]:
+            continue
+        part = cells.polytope(j) & F
+        M, v = binary(every.M[j]), binary(V[k])
+        a = [dot(v, [row[i] for row in M]) for i in range(len(v))]
+        best = maximize(*part.exact, a)
+        if best.point is None:  # the cell does not meet F
+            continue
+        offset = dot(v, binary(every.c[j])) + binary(rows.spread[every.cells.mode[j], k])
+        bound = above(best.value + offset + dot(binary(np.abs(V[k])), binary(every.error[j])))
+        if bound > top[k]:
+            top[k], value[k], owner[k] = bound, nearest(best.value + offset), j
+            points[k] = np.array([nearest(entry) for entry in best.point])
+    return _Highest(value, top, owner, left, points)
+
+
+def _images(loop: ClosedLoop, every: LoopCells, piece: Piece) -> list[Piece]:
+    """The images of the parts of a piece, widened by D and by their errors."""
+    if piece.set.is_empty:
+        return []
+    part, owner = every.cells.complex.clip(np.column_stack([piece.set.H, piece.set.h]))
+    found = []
+    corners = [mode.disturbance.vertices() for mode in loop.system.modes]
+    for i, cell in enumerate(owner.tolist()):
+        mode = every.cells.mode[cell]
+        points = every.images(part.vertices(i), np.full(part.counts[i, 0], cell))
+        H = _normals((points[:, None] + corners[mode]).reshape(-1, points.shape[1]))
+        spread = np.array([one.disturbance.bound(H) for one in loop.system.modes])
+        chosen = np.array([i])
+        _, tops = part.take(chosen).heights(_maps(every, np.array([cell]), H, spread))
+        found.append(Piece(Polytope(H, tops[0]), (*piece.chain, (part.polytope(i), cell))))
+    return found
+
+
+def _normals(points: Array) -> Array:
+    """Rows (l, n) whose half-spaces around points (k, n) are close to their hull: its facets, and those of a box."""
+    n, middle = points.shape[1], points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(points - middle, full_matrices=True)
+    size = max(1.0, float(np.abs(points).max()))
+    rank = int((sizes > FLAT_IMAGE * size).sum())
+    rows = [box_directions(n), axes[rank:], -axes[rank:]]
+    if rank:
+        local = (points - middle) @ axes[:rank].T
+        inside = Polytope.from_points(local).H if rank > 1 else box_directions(1)
+        rows.append(inside @ axes[:rank])
+    return np.vstack(rows)
+
+
+def _uncovered(pieces: Sequence[Piece]) -> list[Piece]:
+    """The pieces that lie in no other one that is kept."""
+    kept: list[Piece] = []
+    limits = {id(piece): piece.set.bound(box_directions(piece.set.dimension)) for piece in pieces}
+    for piece in sorted(pieces, key=lambda piece: -float(limits[id(piece)].sum())):
+        box = limits[id(piece)]
+        if not any((box <= limits[id(other)]).all() and piece.set.is_subset(other.set) for other in kept):
+            kept.append(piece)
+    return kept
+
+
+def _witness(
+    loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, piece: Piece, best: _Highest, k: int
+) -> Witness | None:
+    """A trajectory that attains the maximum along v: through the chain of a piece, to the part of its cell in it."""
+    cell = int(best.owner[k])
+    mode = int(every.cells.mode[cell])
+    if not piece.chain:
+        if k in best.points:
+            x = best.points[k]
+        else:
+            part, _ = every.cells.complex.take(np.array([cell])).clip(np.column_stack([F.H, F.h]))
+            x = max(part.points, key=lambda point: float(v @ every.M[cell] @ point))
+        d = max(loop.system.modes[mode].disturbance.vertices(), key=lambda d: float(v @ d))
+        return replay(loop, x, [mode], [d])
+    chain = [*piece.chain, (every.cells.complex.polytope(cell) & piece.set, cell)]
+    return _longer_witness(loop, every, F, v, chain)
+
+
+def _longer_witness(
+    loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, chain: Sequence[tuple[Polytope, int]]
+) -> Witness | None:
+    """max v x(k) over x(0) in F, x(j) in the j-th part of a chain, d(j) in D: one LP."""
+    n = len(v)
+    lp, free = LinearProgram(), np.full(n, np.inf)
+    states = [lp.add_columns(-free, free) for _ in range(len(chain) + 1)]
+    disturbances = [lp.add_columns(-free, free) for _ in chain]
+    modes = [int(every.cells.mode[cell]) for _, cell in chain]
+    lp.add_rows(states[0], F.H, upper=F.h)
+    for j, (part, cell) in enumerate(chain):
+        D = loop.system.modes[modes[j]].disturbance
+        lp.add_rows(states[j], part.H, upper=part.h)
+        lp.add_rows(disturbances[j], D.H, upper=D.h)
+        columns = np.concatenate([states[j + 1], states[j], disturbances[j]])
+        step = np.hstack([np.eye(n), -every.M[cell], -np.eye(n)])
+        lp.add_rows(columns, step, lower=every.c[cell], upper=every.c[cell])
+    best = lp.maximize(states[-1], v).point
+    return None if best is None else replay(loop, best[states[0]], modes, [best[d] for d in disturbances])
