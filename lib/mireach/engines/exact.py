@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..arithmetic.rational import above, binary, dot, fractions, nearest
+from ..checks import whole_number
 from ..sets.exact_polytopes import ExactPolytope
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
@@ -24,7 +25,13 @@ class Exact(Engine):
     """h of R_1(F) by the cells in exact arithmetic, for any number of states and one step.
 
     It is meant for loops with few cells, such as those of small networks and few states. The cells are kept, so that
-    a loop that is asked again answers in a fraction of the time.
+    further questions about the same loop take a fraction of the time.
+
+    Attributes
+    ----------
+    most_cells : int
+        Cells that are affordable for four states; half as many for each further state, and twice as many for each
+        state less. More of them are a CellLimitError. Time and memory grow in proportion.
 
     See Also
     --------
@@ -41,6 +48,10 @@ class Exact(Engine):
     """
 
     name: ClassVar[str] = "exact"
+    most_cells: int = MOST_CELLS
+
+    def __post_init__(self) -> None:
+        whole_number(self.most_cells, "most_cells", 1)
 
     def support(
         self,
@@ -66,7 +77,7 @@ class Exact(Engine):
         V, steps = checked_query(loop, F, V, steps)
         if steps != 1:
             raise ValueError(f'the exact engine takes one step; got steps = {steps}; use engine="cells"')
-        best = support_steps(loop, F, V)
+        best = support_steps(loop, F, V, self.most_cells)
         if best is None:
             return empty_support(len(V), EXACT)
         value, bound = (np.array([rounded(step.value) for step in best]) for rounded in (nearest, above))
@@ -87,7 +98,7 @@ def support_steps(loop: ClosedLoop, F: Polytope, V: Array, most: int = MOST_CELL
     F : Polytope
     V : array (k, n)
     most : int
-        Cells that are affordable.
+        As `Exact.most_cells`.
 
     Raises
     ------
@@ -140,7 +151,7 @@ def highest_inputs(
     Raises
     ------
     CellLimitError
-        If Phi has more than `most` affine pieces on X, or than `affordable` allows.
+        If Phi has too many affine pieces on X; `most` is `Exact.most_cells`.
     """
     best: list[Any] = [None] * len(V)
     for part, output in affine_pieces(network, X, most):

@@ -24,7 +24,9 @@ from ..tolerances import AROUND, SMALL_PRODUCTS
 from ..typing import Array, BoolArray, IntArray, Rational
 from .steps import dynamics, matrices
 
-MOST_CELLS = 20_000  # cells of a loop that are kept, for up to four states
+MOST_CELLS = 20_000  # cells of a loop with four states that are kept; `affordable` says how many for others
+FEW_CELLS = 1_000  # as MOST_CELLS, where exact arithmetic is not asked for but settles a doubt: a few seconds
+SAMPLES = 250  # random states that are tried first before pieces are built
 
 Point = tuple[Rational, ...]
 Map = Any  # an fmpz_mat: a homogeneous affine map
@@ -117,7 +119,7 @@ def cells(loop: ClosedLoop, most: int = MOST_CELLS) -> tuple[ExactCell, ...]:
     ----------
     loop : ClosedLoop
     most : int
-        As in `affordable`.
+        For four states; see `affordable`.
 
     Raises
     ------
@@ -139,7 +141,7 @@ def _cells(loop: ClosedLoop, limit: int) -> tuple[ExactCell, ...] | None:
     """The cells, or None if they are more than `limit`."""
     pieces = _affine_pieces(loop.network, loop.system.state_set, limit)
     if not pieces:
-        return pieces
+        return None if pieces is None else ()
     found: list[ExactCell] = []
     clouds = Clouds.of([piece.part.floats for piece in pieces])
     for number in range(len(loop.system.modes)):
@@ -150,13 +152,13 @@ def _cells(loop: ClosedLoop, limit: int) -> tuple[ExactCell, ...] | None:
 def _cells_of_mode(loop: ClosedLoop, number: int, pieces: Sequence[Piece], clouds: Clouds) -> Iterator[ExactCell]:
     """The cells of one mode, from the pieces of Phi and their vertices in floats."""
     mode, n = loop.system.modes[number], loop.system.state_size
-    of_u = mode.region.H[:, n:].any(axis=1)
+    of_u: BoolArray = (mode.region.H[:, n:] != 0).any(axis=1)
     rows = rows_of(mode.region)
     rows_of_x = [(*row[:n], row[-1]) for row, with_u in zip(rows, of_u) if not with_u]
     rows_of_xu = [row for row, with_u in zip(rows, of_u) if with_u]
     domain = exactly(loop.system.state_set).clip_all(rows_of_x)
     low, high = clouds.sides(mode.region.H[~of_u, :n], mode.region.h[~of_u])
-    for i in np.flatnonzero(low.all(axis=1)) if not domain.is_empty else ():
+    for i in np.flatnonzero(low.all(axis=1)).tolist() if not domain.is_empty else ():
         part = pieces[i].part.clip_all(row for row, cuts in zip(rows_of_x, high[i]) if cuts)
         if part.dimension < domain.dimension:
             continue
@@ -168,11 +170,11 @@ def _cells_of_mode(loop: ClosedLoop, number: int, pieces: Sequence[Piece], cloud
 
 
 def affordable(n: int, most: int = MOST_CELLS) -> int:
-    """The number of cells in R^n that are kept: `most`, and half of it for each state beyond four.
+    """The number of cells in R^n that are kept: `most` for n = 4, and half of it for each further state.
 
     A box has twice as many vertices for each further state, and so have cells.
     """
-    return most >> max(0, n - 4)
+    return (most << 4) >> n
 
 
 def _required(found: tuple[T, ...] | None, owner: str, what: str, n: int, most: int) -> tuple[T, ...]:
@@ -180,7 +182,7 @@ def _required(found: tuple[T, ...] | None, owner: str, what: str, n: int, most: 
     if found is None:
         raise CellLimitError(
             f"{owner} more than {affordable(n, most)} {what}, the limit of exact arithmetic for {n} states; "
-            'use engine="milp"'
+            'use engine="milp", or raise the limit with Exact(most_cells=...)'
         )
     return found
 
@@ -233,7 +235,7 @@ def affine_pieces(network: MaxoutNetwork, X: Polytope, most: int = MOST_CELLS) -
     X : Polytope
         Bounded.
     most : int
-        As in `affordable`.
+        For four states; see `affordable`.
 
     Raises
     ------
@@ -250,15 +252,37 @@ def _affine_pieces(network: MaxoutNetwork, X: Polytope, limit: int) -> tuple[Pie
 
     Depth first, so that memory and time are bounded by the limit: every part that is split holds a piece.
     """
+    n = X.dimension
     if not limit:
         return None
-    whole, n = exactly(X), X.dimension
+    whole = exactly(X)
     if whole.is_empty:
         return ()
+    if _has_more_pieces(network, X, limit):
+        return None
     identity = flint().fmpz_mat(n + 1, n + 1, [int(i == j) for i in range(n + 1) for j in range(n + 1)])
     layers = list(zip(map(_homogeneous, matrices(network)), [*network.hidden, None]))
     found = list(islice(_pieces(whole, identity, layers), limit + 1))
     return tuple(found) if len(found) <= limit else None
+
+
+def _has_more_pieces(network: MaxoutNetwork, X: Polytope, limit: int) -> bool:
+    """Whether random states show that there are more than `limit` pieces, up to rounding.
+
+    States with different largest channels lie in different pieces. There are more and more states, as long as at least
+    half of them differ, so that a network with few pieces costs little.
+    """
+    count = SAMPLES
+    while True:
+        y, chosen = X.sample(0, count), [np.zeros((count, 1), np.int16)]
+        for layer in network.hidden:
+            channels = layer.channels(y)
+            chosen.append(channels.argmax(axis=-1).astype(np.int16))
+            y = channels.max(axis=-1)
+        different = len({row.tobytes() for row in np.hstack(chosen)})
+        if different > limit or 2 * different < count:
+            return different > limit
+        count *= 2
 
 
 def _pieces(part: ExactPolytope, before: Map, layers: Sequence[tuple[Map, Layer | None]]) -> Iterator[Piece]:
