@@ -115,6 +115,7 @@ def answering(monkeypatch, bound, value, resolution=0.0):
 def test_bounds_decide_a_proof_and_steps_a_refutation(monkeypatch, bound, value, verdict, settled):
     loop, F = contraction(n=3, p=np.zeros(3)), Polytope.box([-0.5] * 3, [0.5] * 3)
     answering(monkeypatch, bound, value, 1e-6)
+    monkeypatch.setattr("mireach.analysis.comparison.FEW_CELLS", 0)
     check = check_rpi(loop, F, "milp")
     assert (check.verdict, check.settled) == (verdict, settled)
 

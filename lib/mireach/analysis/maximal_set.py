@@ -16,7 +16,7 @@ from shapely.errors import GEOSException
 
 from ..arithmetic.scaling import times
 from ..checks import positive_number, require_kind, whole_number
-from ..engines import exact
+from ..engines import exact_plane
 from ..engines.base import EXACT, Escape
 from ..errors import RegionError
 from ..results import Result, Verdict
@@ -322,8 +322,9 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
     Notes
     -----
     For every cell of the loop and every piece of the region: the image of their intersection, widened by D^(i),
-    less the pieces of the region has to be empty (`engines.exact.first_escape`). Neither GEOS nor the float
-    cells are trusted; python-flint, and the few lines of `engines/exact.py`, are.
+    less the pieces of the region has to be empty (`engines.exact_plane.first_escape`). Neither GEOS nor the float
+    cells are trusted; python-flint is, and the few lines of `sets/exact_polytopes.py`, `engines/exact_cells.py` and
+    `engines/exact_plane.py`.
     """
     require_kind(region, (Region, Polytope), "region")
     units = PlanarLoop.of(loop).units
@@ -337,7 +338,7 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
 def _check(loop: ClosedLoop, pieces: Polygons, scale: ArrayLike = (1.0, 1.0)) -> RegionCheck:
     """`prove_rpi` of pieces in the units of the loop; an escape is multiplied by `scale`."""
     try:
-        escape = exact.first_escape(loop, [pieces[i] for i in range(len(pieces))])
+        escape = exact_plane.first_escape(loop, [pieces[i] for i in range(len(pieces))])
     except ArithmeticError as error:
         return RegionCheck(Verdict.UNKNOWN, None, str(error))
     if escape is not None:

@@ -66,9 +66,9 @@ def check_rpi(
     engine : Engine, str or None
         As in `support`.
     tol : float or None
-        A facet holds if bound <= h + tol, in units of h. None allows nothing for two states, where exact arithmetic
-        decides what rounding leaves in doubt, and the engine's resolution for more: 1e-6 of the size of X for
-        the MILP.
+        A facet holds if bound <= h + tol, in units of h. None allows nothing where exact arithmetic can decide what
+        rounding leaves in doubt: for two states, and for more if the loop has few cells. Otherwise None allows the
+        engine's resolution: 1e-6 of the size of X for the MILP.
 
     Returns
     -------
