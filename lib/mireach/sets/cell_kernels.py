@@ -411,12 +411,14 @@ def _entering(cell: Cell, leaving: int, count: int, work: Work) -> int:
     edge = np.empty(n)
     if not _eliminated(work.matrix, edge):
         return -1
+    length = 0.0
+    for i in range(n):
+        length = max(length, abs(edge[i]))
     for r in range(count):
-        row, rise, terms = work.tight[r], 0.0, 0.0
+        row, rise = work.tight[r], 0.0
         for i in range(n):
             rise += cell.rows[row, i] * edge[i]
-            terms += abs(cell.rows[row, i] * edge[i])
-        if rise > 1e-12 * terms:
+        if rise > 1e-10 * length:
             return row
     return -1
 
@@ -481,7 +483,8 @@ def _fit_box(cell: Cell, work: Work) -> None:
                 low = t
             if cell.points[t, i] > cell.points[high, i]:
                 high = t
-        work.a[:] = 0.0
+        for j in range(len(work.a)):
+            work.a[j] = 0.0
         work.a[i] = 1.0
         cell.box[1, i] = min(cell.box[1, i], _upper(cell, high, work.a, work))
         work.a[i] = -1.0
@@ -509,7 +512,9 @@ def _grown(array: Any, needed: int) -> Any:
     if needed <= len(array):
         return array
     longer = np.empty((max(needed, 2 * len(array)), array.shape[1]), array.dtype)
-    longer[: len(array)] = array
+    for i in range(len(array)):
+        for j in range(array.shape[1]):
+            longer[i, j] = array[i, j]
     return longer
 
 
