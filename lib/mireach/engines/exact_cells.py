@@ -134,9 +134,9 @@ def cells(loop: ClosedLoop, most: int = MOST_CELLS) -> tuple[ExactCell, ...]:
 
     Notes
     -----
-    Every mode has the pieces of Phi that meet its region. A piece that meets the region's rows of x in a set of
-    lower dimension than X does is left out: Phi is continuous, so that neighbours contain it. Rows that involve u are
-    cut afterwards, and whatever is left of a piece counts.
+    A mode acts on the part of X within those rows of its region that do not involve u, and there within the others.
+    Pieces of Phi whose share of that part has a lower dimension than the part are left out: Phi is continuous, so that
+    neighbours contain such a share. Rows that involve u are cut afterwards, and whatever is left of a piece counts.
     """
     found = _cells(loop, affordable(loop.system.state_size, most))
     return _required(found, "the loop has", "cells", loop.system.state_size, most)
