@@ -51,7 +51,7 @@ class Exact(Engine):
     most_cells: int = MOST_CELLS
 
     def __post_init__(self) -> None:
-        whole_number(self.most_cells, "most_cells", 1)
+        object.__setattr__(self, "most_cells", whole_number(self.most_cells, "most_cells", 1))
 
     def support(
         self,
