@@ -152,9 +152,9 @@ FAULTS = (
     Fault(
         "exact polytopes",
         "sets/exact_polytopes.py",
-        "vertices with one more vertex on their common rows share an edge",
+        "opposite vertices of a quadrilateral share an edge",
         "if found > 2:",
-        "if found > 3:",
+        "if found > 4:",
     ),
     Fault(
         "exact polytopes",

@@ -557,3 +557,12 @@ def test_contraction_is_nan_about_a_centre_outside():
 def test_safe_set_names_a_wrong_limit(wrong):
     with pytest.raises(ValueError, match="max_iterations must be a whole number"):
         mr.safe_set(mr.case_study("pwa").loop, max_iterations=wrong)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_a_set_that_fits_without_any_margin_is_proven_and_one_rounding_more_is_refuted(n):
+    F = Polytope.box(-np.ones(n), np.ones(n))
+    fits = check_rpi(affine_loop(np.eye(n), limits=2.0), F)
+    assert fits.verdict == "proven" and (fits.margin >= 0).all() and "to within" not in fits.settled
+    leaves = check_rpi(affine_loop((1 + 2.0**-52) * np.eye(n), limits=2.0), F)
+    assert leaves.verdict == "refuted" and max(map(abs, leaves.escape.after)) == 1 + Fraction(2) ** -52

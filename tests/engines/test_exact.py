@@ -132,6 +132,6 @@ def test_growth_is_the_same_in_every_dimension(n):
 def test_too_many_cells_are_an_error_that_says_what_to_do():
     case = mr.case_study("three_tanks")
     with pytest.raises(mr.CellLimitError, match=r'has more than 200 .* 3 states; use engine="milp"'):
-        mr.support(case.loop, case.system.state_set, case.directions, engine=mr.Exact(most_cells=100))
+        mr.support(case.loop, case.system.state_set, case.directions, engine=mr.Exact(most_cells=100.0))
     with pytest.raises(ValueError, match="most_cells"):
         mr.Exact(most_cells=0)

@@ -92,7 +92,7 @@ class Comparison:
             step = steps.farthest_step(self.loop, self.F, v, witness.states[0], int(witness.modes[0]))
             if step is not None and step.value > limit:
                 return step
-        if self.found.value[row] > -np.inf and _has_few_cells(self.loop):
+        if self.found.value[row] > -np.inf and _can_be_exact(self.loop, self.stopped):
             found = exact.support_steps(self.loop, self.F, v[None], _most_cells(self.loop))
             if found is not None and found[0].value > limit:
                 return found[0]
@@ -152,28 +152,20 @@ def compare(
     if tol is None and not holds.all():
         resolved = holds if planar else ~asked | (bound <= limit + found.resolution)
         clear = asked & ((found.value - limit) * own_units(loop).rows(V)[1] > CLEAR)
-        rows = np.flatnonzero(~holds)
-        exactly = None
-        if (thorough or resolved.all() or not clear.any()) and (planar or not stopped):
-            exactly = _exact_bound(loop, F, V[rows])
-        if exactly is not None:
+        if (thorough or resolved.all() or not clear.any()) and _can_be_exact(loop, stopped):
+            rows = np.flatnonzero(~holds)
             bound = bound.copy()
-            bound[rows] = exactly
+            bound[rows] = support(loop, F, V[rows], engine=Exact(_most_cells(loop))).bound
             holds, settled = holds | (bound <= limit), EXACT
         elif not planar:
             holds, settled = resolved, WITHIN.format(engine.resolution, rests) if engine.resolution else rests
     return Comparison(loop, F, V, limit, found, bound, holds, settled, stopped)
 
 
-def _exact_bound(loop: ClosedLoop, F: Polytope, V: Array) -> Array | None:
-    """h of R_1(F) along V without rounding, rounded up; None if the loop has too many cells."""
-    if not _has_few_cells(loop):
-        return None
-    return support(loop, F, V, engine=Exact(_most_cells(loop))).bound
-
-
-def _has_few_cells(loop: ClosedLoop) -> bool:
-    """Whether exact arithmetic can afford the cells of a loop."""
+def _can_be_exact(loop: ClosedLoop, stopped: str) -> bool:
+    """Whether exact arithmetic can afford the cells of a loop, and no time limit has passed that it would exceed."""
+    if stopped and loop.system.state_size > 2:
+        return False
     try:
         cells(own_units(loop).loop, _most_cells(loop))
     except CellLimitError:

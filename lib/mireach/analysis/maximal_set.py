@@ -18,7 +18,7 @@ from ..arithmetic.scaling import times
 from ..checks import positive_number, require_kind, whole_number
 from ..engines import exact_plane
 from ..engines.base import EXACT, Escape
-from ..errors import RegionError
+from ..errors import CellLimitError, RegionError
 from ..results import Result, Verdict
 from ..sets.geos import Shape, hulls, overlay
 from ..sets.polygons import Polygons
@@ -339,7 +339,7 @@ def _check(loop: ClosedLoop, pieces: Polygons, scale: ArrayLike = (1.0, 1.0)) ->
     """`prove_rpi` of pieces in the units of the loop; an escape is multiplied by `scale`."""
     try:
         escape = exact_plane.first_escape(loop, [pieces[i] for i in range(len(pieces))])
-    except ArithmeticError as error:
+    except (ArithmeticError, CellLimitError) as error:
         return RegionCheck(Verdict.UNKNOWN, None, str(error))
     if escape is not None:
         factors = [Fraction(s) for s in np.asarray(scale, float).tolist()]

@@ -43,15 +43,15 @@ class Exact(Engine):
     >>> import mireach as mr
     >>> case = mr.case_study("four_tanks")
     >>> found = mr.support(case.loop, case.system.state_set, [[1, 0, 0, 0]], engine="exact")
-    >>> bool(found.bound[0] == np.nextafter(found.value[0], np.inf) or found.bound[0] == found.value[0])
-    True
+    >>> bool(found.bound[0] <= np.nextafter(found.value[0], np.inf)), found.rests_on
+    (True, 'exact arithmetic')
     """
 
     name: ClassVar[str] = "exact"
     most_cells: int = MOST_CELLS
 
     def __post_init__(self) -> None:
-        whole_number(self.most_cells, "most_cells", 1)
+        object.__setattr__(self, "most_cells", whole_number(self.most_cells, "most_cells", 1))
 
     def support(
         self,
@@ -76,7 +76,8 @@ class Exact(Engine):
         """
         V, steps = checked_query(loop, F, V, steps)
         if steps != 1:
-            raise ValueError(f'the exact engine takes one step; got steps = {steps}; use engine="cells"')
+            instead = 'engine="cells"' if loop.system.state_size == 2 else 'engine="milp"'
+            raise ValueError(f"the exact engine takes one step; got steps = {steps}; use {instead}")
         best = support_steps(loop, F, V, self.most_cells)
         if best is None:
             return empty_support(len(V), EXACT)
@@ -106,6 +107,8 @@ def support_steps(loop: ClosedLoop, F: Polytope, V: Array, most: int = MOST_CELL
         If there are more cells.
     """
     every, spread = cells(loop, most), disturbances(loop)
+    if not every:
+        return None
     rows, parts = rows_of(F), dict[int, ExactPolytope]()
     low, high = cell_floats(loop, most)[0].sides(F.H, F.h)
     near, heights = np.flatnonzero(low.all(axis=1)), _heights(loop, V, most)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from ..arithmetic.balls import flint
-from ..arithmetic.rational import nearest
+from ..arithmetic.rational import dot, nearest
 from ..errors import CellLimitError
 from ..sets.exact_polytopes import ExactPolytope, Integers, integers
 from ..sets.polytope import Polytope
@@ -22,7 +22,7 @@ from ..systems.network import Layer, MaxoutNetwork
 from ..systems.pwa import Mode
 from ..tolerances import AROUND, SMALL_PRODUCTS
 from ..typing import Array, BoolArray, IntArray, Rational
-from .steps import dynamics, matrices
+from .steps import Form, dynamics, matrices
 
 MOST_CELLS = 20_000  # cells of a loop with four states that are kept; `affordable` says how many for others
 FEW_CELLS = 1_000  # as MOST_CELLS, where exact arithmetic is not asked for but settles a doubt: a few seconds
@@ -75,9 +75,15 @@ class ExactCell:
         """M x + c at the corners: list of tuple of n fmpq."""
         return _points(self.after * self.part.columns)
 
+    @cached_property
+    def forms(self) -> list[Form]:
+        """The rows of M x + c as affine functions."""
+        *rows, last = self.after.tolist()
+        return [tuple(flint().fmpq(entry, last[-1]) for entry in row) for row in rows]
+
     def image(self, x: Point) -> Point:
         """M x + c."""
-        return _points(self.after * flint().fmpz_mat([integers((*x, 1))]).transpose())[0]
+        return tuple(dot(form, x) + form[-1] for form in self.forms)
 
 
 class Clouds(NamedTuple):
@@ -128,9 +134,9 @@ def cells(loop: ClosedLoop, most: int = MOST_CELLS) -> tuple[ExactCell, ...]:
 
     Notes
     -----
-    Every mode has the pieces of Phi that meet its region. A piece that meets the region's rows of x in a set of
-    lower dimension than X does is left out: Phi is continuous, so that neighbours contain it. Rows that involve u are
-    cut afterwards, and whatever is left of a piece counts.
+    A mode acts on the part of X within those rows of its region that do not involve u, and there within the others.
+    Pieces of Phi whose share of that part has a lower dimension than the part are left out: Phi is continuous, so that
+    neighbours contain such a share. Rows that involve u are cut afterwards, and whatever is left of a piece counts.
     """
     found = _cells(loop, affordable(loop.system.state_size, most))
     return _required(found, "the loop has", "cells", loop.system.state_size, most)

@@ -15,12 +15,11 @@ from ..systems.loop import ClosedLoop
 from ..tolerances import AROUND
 from ..typing import Array, BoolArray, Rational
 from .base import Escape
-from .exact_cells import ExactCell, cells, disturbances
+from .exact_cells import ExactCell, Point, cells, disturbances
 from .steps import Row
 
 MOST_PARTS = 10_000  # parts into which the rest of one image may fall while it is compared with a region
 
-Point = tuple[Rational, ...]
 Polygon = list[Point]
 Box = tuple[float, float, float, float]  # left, bottom, right, top
 
@@ -45,6 +44,8 @@ def first_escape(loop: ClosedLoop, pieces: Sequence[Array]) -> Escape | None:
     ------
     ArithmeticError
         If the rest of an image falls into more than `MOST_PARTS` parts.
+    CellLimitError
+        If the loop has too many cells.
 
     Notes
     -----

@@ -8,7 +8,6 @@ time of the same sums of fractions, which are reduced after every operation.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import product
 from operator import or_
 from typing import Any, TypeAlias
 
@@ -77,16 +76,20 @@ class ExactPolytope:
 
     @classmethod
     def box(cls, ends: Sequence[tuple[Rational, Rational]]) -> "ExactPolytope":
-        """The box between ends (low_i, high_i) with low_i <= high_i."""
-        rows, choices = [], []
+        """The box between ends (low_i, high_i) with low_i <= high_i; in the plane counter-clockwise."""
+        rows: list[Integers] = []
+        corners: list[tuple[tuple[Rational, ...], int]] = [((), 0)]
         for i, (low, high) in enumerate(ends):
             axis = [int(i == j) for j in range(len(ends))]
             rows += [integers((*[-entry for entry in axis], low)), integers((*axis, -high))]
-            masks = 1 << 2 * i, 2 << 2 * i
-            choices.append([(low, masks[0]), (high, masks[1])] if low < high else [(low, sum(masks))])
-        corners = [[*zip(*corner)] for corner in product(*choices)]
-        points = tuple(integers((*x, 1)) for x, _ in corners)
-        return cls(points, tuple(sum(masks) for _, masks in corners), tuple(rows), sum(a < b for a, b in ends))
+            choices = [(low, 1 << 2 * i), (high, 2 << 2 * i)] if low < high else [(low, 3 << 2 * i)]
+            corners = [
+                ((*x, end), mask | bit)
+                for (end, bit), others in zip(choices, (corners, corners[::-1]))
+                for x, mask in others
+            ]
+        points, tight = zip(*((integers((*x, 1)), mask) for x, mask in corners))
+        return cls(points, tight, tuple(rows), sum(low < high for low, high in ends))
 
     @property
     def is_empty(self) -> bool:
