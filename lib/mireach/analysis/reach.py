@@ -42,7 +42,7 @@ def support(
         The k of R_k.
     engine : Engine, str or None
         An engine with its settings, such as `Milp(time_limit=60)`; "cells", "milp", "exact" or "cvxpy" for one with
-        its defaults; None for the cells for two states, else the MILP.
+        its defaults; None for the cells if there are few enough, else the MILP (`Support.engine` says which).
     cutoff : array (k,) or None
         Where the only question is whether h exceeds this: an engine may stop at any bound that does not.
     warm_start : Support or None
@@ -93,8 +93,8 @@ def support(
             engine = engine.within(max(left, LEAST_TIME))
         found = engine.support(units.loop, units.polytope(F), rows, steps, cutoff=cutoff, warm_start=warm_start)
     except SolverStopped as stop:
-        raise units.stopped(stop, factor, engine.resolution, query) from stop
-    return units.support(found, factor, engine.resolution, query)
+        raise units.stopped(stop, factor, engine, query) from stop
+    return units.support(found, factor, engine, query)
 
 
 def _require_warm_start(warm_start: Support, query: Query) -> None:

@@ -107,6 +107,8 @@ class Support(Result):
     resolution : array (k,) or float
         Bounds may lie above the true values by this much. A bound that exceeds a limit by less is a tie, not yet
         a violation (units of v x).
+    engine : str
+        The name of the engine. `mireach.support` sets it.
     source : Support or None
         The engine's own answer, in the units of `units.own_units`: a warm start for a smaller set. `mireach.support`
         sets it.
@@ -119,6 +121,7 @@ class Support(Result):
     witness: Sequence[Witness | None]
     rests_on: str = field(default=COUNTED, kw_only=True)
     resolution: Array | float = field(default=0.0, kw_only=True)
+    engine: str = field(default="", kw_only=True)
     source: "Support | None" = field(default=None, kw_only=True, repr=False, metadata=NOT_STORED)
     query: Query | None = field(default=None, kw_only=True, repr=False, metadata=NOT_STORED)
 

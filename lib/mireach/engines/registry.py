@@ -1,12 +1,18 @@
 """The engines by name, and the choice between them."""
 
 from ..checks import require_kind
+from ..errors import CellLimitError
 from ..systems.loop import ClosedLoop
+from . import space
 from .base import Engine
 from .cells import Cells
 from .cvxpy_model import Cvxpy
 from .exact import Exact
 from .milp.engine import Milp
+from .units import own_units
+
+FEW_CELLS = 200_000  # up to which the cells are the default for more than two states; they take about 10 s
+MOST_STATES = 6  # up to which they are tried
 
 ENGINES: dict[str, type[Engine]] = {kind.name: kind for kind in (Cells, Milp, Exact, Cvxpy)}
 
@@ -18,8 +24,8 @@ def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
     ----------
     loop : ClosedLoop
     engine : Engine, str or None
-        An engine; the name of one, which then has its default settings; or None, which is `Cells` for two states and
-        `Milp` for more.
+        An engine; the name of one, which then has its default settings; or None, which is `Cells` if the loop has at
+        most `FEW_CELLS` cells, and `Milp` otherwise. The cells are computed for this decision and kept.
 
     Raises
     ------
@@ -37,10 +43,24 @@ def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
     """
     require_kind(loop, ClosedLoop, "loop")
     if engine is None:
-        return Cells() if loop.system.state_size == 2 else Milp()
+        return _fastest(loop)
     if isinstance(engine, str):
         if engine not in ENGINES:
             raise ValueError(f"engine must be one of {', '.join(ENGINES)} or an Engine; got {engine!r}")
         return ENGINES[engine]()
     require_kind(engine, Engine, "engine")
     return engine
+
+
+def _fastest(loop: ClosedLoop) -> Engine:
+    """`Cells`, or `Milp` for loops with too many states or cells."""
+    n = loop.system.state_size
+    if n == 2:
+        return Cells()
+    if n > MOST_STATES:
+        return Milp()
+    try:
+        space.dynamics(own_units(loop).loop, FEW_CELLS)
+    except CellLimitError:
+        return Milp()
+    return Cells(limit=FEW_CELLS)

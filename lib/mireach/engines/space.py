@@ -105,7 +105,7 @@ class Piece(NamedTuple):
 
 
 def dynamics(loop: ClosedLoop, limit: int) -> LoopCells:
-    """The cells of a closed loop in its own units, with x+ = M x + c on each of them: the same object for the same loop.
+    """The cells of a closed loop, with x+ = M x + c on each of them: the same object for the same loop.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def _dynamics(loop: ClosedLoop, limit: int) -> LoopCells | CellLimitError:
     inputs = np.abs(found.K) @ extent + np.abs(found.g) + found.error
     size = np.abs(A) @ extent + np.einsum("nij,nj->ni", np.abs(B), inputs) + np.abs(p)
     error = np.einsum("nij,nj->ni", np.abs(B), found.error) + 2 * terms * ROUNDOFF * size
-    spread = max((float(np.abs(D.bounding_box()).max()) for D in {mode.disturbance for mode in system.modes}))
+    spread = max(float(np.abs(D.bounding_box()).max()) for D in {mode.disturbance for mode in system.modes})
     largest = max(1.0, float(size.max(initial=0.0)), spread)
     return LoopCells(found, M, c, error, float(max(BOUND_GRID, LARGE_IMAGE * 2.0 ** np.ceil(np.log2(largest)))))
 

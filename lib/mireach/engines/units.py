@@ -20,7 +20,7 @@ from ..systems.loop import ClosedLoop
 from ..systems.network import Layer, MaxoutNetwork
 from ..systems.pwa import Mode, PWASystem
 from ..typing import Array
-from .base import LazySequence, Query, Support, Witness
+from .base import Engine, LazySequence, Query, Support, Witness
 
 T = TypeVar("T")
 
@@ -62,7 +62,7 @@ class Units:
         states, disturbances = found.states * self.state, found.disturbances * self.state
         return Witness(states, found.inputs * self.inputs, found.modes, disturbances)
 
-    def support(self, found: Support, factor: Array, resolution: float, query: Query | None = None) -> Support:
+    def support(self, found: Support, factor: Array, engine: Engine, query: Query | None = None) -> Support:
         """A Support along rows V' in the units of the user, along V."""
         witness = LazySequence(len(factor), lambda k: self.witness(found.witness[k]))
         return Support(
@@ -70,18 +70,17 @@ class Units:
             found.bound / factor,
             witness,
             rests_on=found.rests_on,
-            resolution=resolution / factor,
+            resolution=engine.resolution / factor,
+            engine=engine.name,
             source=found,
             query=query,
         )
 
-    def stopped(
-        self, stop: SolverStopped, factor: Array, resolution: float, query: Query | None = None
-    ) -> SolverStopped:
+    def stopped(self, stop: SolverStopped, factor: Array, engine: Engine, query: Query | None = None) -> SolverStopped:
         """A SolverStopped whose support is in the units of the user."""
         k = len(factor)
         found = stop.support or Support(np.full(k, -np.inf), np.full(k, np.inf), (None,) * k)
-        return SolverStopped(str(stop), self.support(found, factor, resolution, query))
+        return SolverStopped(str(stop), self.support(found, factor, engine, query))
 
 
 @lru_cache(maxsize=128)

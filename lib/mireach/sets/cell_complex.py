@@ -1,4 +1,4 @@
-"""Many convex polytopes of R^n at once, each by its vertices and the rows that are tight at each vertex."""
+"""Many convex polytopes of R^n at once, each represented by its vertices and the rows that are tight at each vertex."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import CellLimitError
 from ..typing import Array, IntArray
@@ -17,6 +16,7 @@ from .polytope import Polytope
 from .templates import box_directions
 
 ROOM = 512  # vertices per cell that a kernel starts with room for
+MOST_STATES = 12  # since a box has 2^n vertices
 UNLIMITED = 2**62
 
 
@@ -61,14 +61,24 @@ class CellComplex:
 
     @staticmethod
     def of(polytopes: Sequence[Polytope]) -> CellComplex:
-        """The complex of bounded Polytopes, none of them empty."""
+        """The complex of bounded Polytopes, none of them empty.
+
+        Raises
+        ------
+        CellLimitError
+            If n is above `MOST_STATES`.
+        """
         n = polytopes[0].dimension
+        if n > MOST_STATES:
+            raise CellLimitError(f'a box in R^{n} alone has 2^{n} vertices, too many for cells; use engine="milp"')
         limits = np.array([P.bound(box_directions(n)) for P in polytopes]).reshape(-1, 2, n)
         high, low = limits[:, 0], -limits[:, 1]
         corner = (np.arange(2**n)[:, None] >> np.arange(n)) & 1
-        points = np.where(corner, high[:, None], low[:, None]).reshape(-1, n)
+        points = np.ascontiguousarray(np.where(corner, high[:, None], low[:, None]).reshape(-1, n))
         masks = ((1 << np.arange(n)) * np.where(corner, 1, 2**n)).sum(axis=1)
-        rows = np.concatenate([np.broadcast_to(box_directions(n), (len(polytopes), 2 * n, n)), np.hstack([high, -low])[..., None]], axis=2)
+        rows = np.concatenate(
+            [np.broadcast_to(box_directions(n), (len(polytopes), 2 * n, n)), np.hstack([high, -low])[..., None]], axis=2
+        )
         boxes = CellComplex(
             points,
             np.tile(masks, len(polytopes))[:, None],
@@ -105,7 +115,10 @@ class CellComplex:
 
     def polytope(self, i: int) -> Polytope:
         """Cell i as a Polytope: its rows that touch it, and those of its box."""
-        masks, rows = self.masks[self.starts[i, 0] : self.starts[i + 1, 0]], self.rows[self.starts[i, 1] : self.starts[i + 1, 1]]
+        masks, rows = (
+            self.masks[self.starts[i, 0] : self.starts[i + 1, 0]],
+            self.rows[self.starts[i, 1] : self.starts[i + 1, 1]],
+        )
         used = np.bitwise_or.reduce(masks, axis=0)[:, None] >> np.arange(kernels.WORD) & 1
         rows, n = rows[used.ravel()[: len(rows)] != 0], self.dimension
         low, high = self.boxes[i, :n], self.boxes[i, n:]
@@ -184,7 +197,10 @@ class CellComplex:
         return self._of(found), found[5][:, 0], K.copy(), g[..., 0].copy(), error[..., 0].copy()
 
     def heights(self, maps: tuple[Any, ...]) -> tuple[Array, Array]:
-        """max v (M x + c) + h of D over each cell, and its upper bound, for the fields of `kernels.Maps`: (N, k) each."""
+        """max v (M x + c) + h of D over each cell, and its upper bound: two arrays (N, k).
+
+        `maps` are the fields of `kernels.Maps`.
+        """
         storage = (int(self.counts[:, 0].max(initial=1)), self.masks.shape[1], UNLIMITED)
         heights, tops = kernels.whole(self.arrays, maps, self.extent, storage)
         return heights, tops
@@ -205,7 +221,8 @@ class CellComplex:
         return self.points, self.masks, self.rows, self.boxes, self.counts, info, doubt
 
     def _of(self, arrays: tuple[Any, ...]) -> CellComplex:
-        return CellComplex(*arrays[:5], self.extent)
+        points, masks, rows, boxes, counts = arrays[:5]
+        return CellComplex(points, masks, rows, boxes, counts, self.extent)
 
     def _run(self, kernel: Callable[[tuple[int, int, int]], tuple[Any, ...]], limit: int = UNLIMITED) -> Any:
         """What a kernel returns after its status, with as much room per cell as it needs."""
@@ -224,4 +241,3 @@ class CellComplex:
                 )
             else:
                 return found
-

@@ -60,22 +60,23 @@ class Cell(NamedTuple):
     Attributes
     ----------
     points : array (room, n)
-        Its vertices, the first count[0] of them.
+        Its vertices, the first used[0] of them.
     masks : array (room, words) of int
         Bit r of the mask of a vertex says that row r is tight there.
     rows : array (WORD words, n + 1)
-        Rows (a, b) with a largest entry of a between 1/2 and 1, the first count[1] of them. Those whose bit no vertex
+        Rows (a, b) with a largest entry of a between 1/2 and 1, the first used[1] of them. Those whose bit no vertex
         has are free.
     box : array (2, n)
         Lower and upper limits, proven, of the coordinates.
-    count : array (2,) of int
+    used : array (2,) of int
+        How many vertices and rows there are.
     """
 
     points: Array
     masks: Ints
     rows: Array
     box: Array
-    count: Ints
+    used: Ints
 
 
 class Work(NamedTuple):
@@ -141,8 +142,8 @@ def _new_cell(n: int, storage: Storage) -> Cell:
     """An empty Cell."""
     bits = WORD * storage.words
     masks = np.zeros((storage.room, storage.words), np.int64)
-    count = np.zeros(2, np.int64)
-    return Cell(np.empty((storage.room, n)), masks, np.zeros((bits, n + 1)), np.empty((2, n)), count)
+    used = np.zeros(2, np.int64)
+    return Cell(np.empty((storage.room, n)), masks, np.zeros((bits, n + 1)), np.empty((2, n)), used)
 
 
 @Kernel
@@ -161,17 +162,17 @@ def _new_work(extent: Array, storage: Storage) -> Work:
 def _copied(source: Cell, target: Cell) -> None:
     """Make `target` the same cell as `source`."""
     n, words = source.points.shape[1], source.masks.shape[1]
-    for t in range(source.count[0]):
+    for t in range(source.used[0]):
         for i in range(n):
             target.points[t, i] = source.points[t, i]
         for k in range(words):
             target.masks[t, k] = source.masks[t, k]
-    for r in range(source.count[1]):
+    for r in range(source.used[1]):
         for i in range(n + 1):
             target.rows[r, i] = source.rows[r, i]
     for i in range(n):
         target.box[0, i], target.box[1, i] = source.box[0, i], source.box[1, i]
-    target.count[0], target.count[1] = source.count[0], source.count[1]
+    target.used[0], target.used[1] = source.used[0], source.used[1]
 
 
 @Kernel
@@ -179,7 +180,7 @@ def _free_row(cell: Cell) -> int:
     """A row whose bit no vertex has; -1 if there is none."""
     for k in range(cell.masks.shape[1]):
         used = np.int64(0)
-        for t in range(cell.count[0]):
+        for t in range(cell.used[0]):
             used |= cell.masks[t, k]
         for bit in range(WORD):
             if not (used >> bit) & 1:
@@ -232,8 +233,9 @@ def _clip(cell: Cell, row: Array, work: Work) -> int:
     """
     points, masks = cell.points, cell.masks
     excess, simple = work.excess, work.simple
-    n, size, words = points.shape[1], cell.count[0], masks.shape[1]
-    least, most = np.inf, -np.inf
+    n, size, words = points.shape[1], cell.used[0], masks.shape[1]
+    least: float = np.inf
+    most: float = -np.inf
     for t in range(size):
         beyond = -row[n]
         for i in range(n):
@@ -285,7 +287,7 @@ def _clip(cell: Cell, row: Array, work: Work) -> int:
         kept += 1
     for i in range(n + 1):
         cell.rows[slot, i] = row[i]
-    cell.count[0], cell.count[1] = kept, max(cell.count[1], slot + 1)
+    cell.used[0], cell.used[1] = kept, max(cell.used[1], slot + 1)
     return CUT
 
 
@@ -295,10 +297,7 @@ def _cut(cell: Cell, row: Array, work: Work) -> int:
     found = _clip(cell, row, work)
     if found != EMPTY:
         return found
-    n, nearest = len(work.a), 0
-    for t in range(cell.count[0]):
-        if work.excess[t] < work.excess[nearest]:
-            nearest = t
+    n, nearest = len(work.a), np.argmin(work.excess[: cell.used[0]])
     for i in range(n):
         work.a[i] = -row[i]
     if _upper(cell, nearest, work.a, work) < -row[n]:
@@ -313,7 +312,7 @@ def _cut(cell: Cell, row: Array, work: Work) -> int:
     cell.masks[0, slot // WORD] |= np.int64(1) << (slot % WORD)
     for i in range(n + 1):
         cell.rows[slot, i] = row[i]
-    cell.count[0], cell.count[1] = 1, max(cell.count[1], slot + 1)
+    cell.used[0], cell.used[1] = 1, max(cell.used[1], slot + 1)
     return CUT
 
 
@@ -334,7 +333,7 @@ def _tight_rows(cell: Cell, v: int, tight: Ints) -> int:
 
 @Kernel
 def _independent(cell: Cell, count: int, work: Work) -> bool:
-    """Choose n independent rows of the `count` tight ones, those farthest from the span of the ones before, as basis."""
+    """Choose n independent rows of the `count` tight ones as basis, each the farthest from the span of those before."""
     n = len(work.a)
     rest = np.empty((count, n))
     for r in range(count):
@@ -427,8 +426,8 @@ def _entering(cell: Cell, leaving: int, count: int, work: Work) -> int:
 def _upper(cell: Cell, v: int, a: Array, work: Work) -> float:
     """Upper bound of a x over a cell, from the rows that are tight at vertex v; good if v is highest along a.
 
-    Weak duality: for y >= 0, a x = y A x + (a - A'y) x <= y b + |a - A'y| |x|. The simplex method with Bland's rule finds
-    y on the cone of the tight rows. Whatever y it ends with, the bound holds: its rounding is counted.
+    Weak duality: for y >= 0, a x = y A x + (a - A'y) x <= y b + |a - A'y| |x|. The simplex method with Bland's rule
+    finds y on the cone of the tight rows. The bound holds whatever y it ends with: its rounding is counted.
     """
     n, most = len(a), 0.0
     for i in range(n):
@@ -478,7 +477,7 @@ def _fit_box(cell: Cell, work: Work) -> None:
     """Tighten the box of a cell to proven limits of its coordinates."""
     for i in range(cell.points.shape[1]):
         low, high = 0, 0
-        for t in range(cell.count[0]):
+        for t in range(cell.used[0]):
             if cell.points[t, i] < cell.points[low, i]:
                 low = t
             if cell.points[t, i] > cell.points[high, i]:
@@ -530,7 +529,7 @@ def _new_pool(n: int, words: int) -> Pool:
 def _stored(pool: Pool, at: Ints, cell: Cell, info: tuple[int, int, int], doubt: float) -> Pool:
     """The pool with one more cell; at (3,) counts its cells, vertices and rows."""
     n, words = cell.points.shape[1], cell.masks.shape[1]
-    size, used = cell.count[0], cell.count[1]
+    size, used = cell.used[0], cell.used[1]
     number, top, low = at[0], at[1], at[2]
     points, masks = _grown(pool.points, top + size), _grown(pool.masks, top + size)
     rows, boxes = _grown(pool.rows, low + used), _grown(pool.boxes, number + 1)
@@ -557,7 +556,7 @@ def _stored(pool: Pool, at: Ints, cell: Cell, info: tuple[int, int, int], doubt:
 
 @Kernel
 def _loaded(pool: Pool, number: int, top: int, low: int, cell: Cell) -> bool:
-    """Make `cell` the one of this number in a pool, its vertices from `top` and its rows from `low`; False if too small."""
+    """Copy a cell of a pool, with vertices from `top` and rows from `low`, to `cell`; False if it has no room."""
     n, words = pool.points.shape[1], pool.masks.shape[1]
     size, used = pool.counts[number, 0], pool.counts[number, 1]
     if size > len(cell.points):
@@ -574,7 +573,7 @@ def _loaded(pool: Pool, number: int, top: int, low: int, cell: Cell) -> bool:
             cell.rows[r, i] = pool.rows[low + r, i]
     for i in range(n):
         cell.box[0, i], cell.box[1, i] = pool.boxes[number, i], pool.boxes[number, n + i]
-    cell.count[0], cell.count[1] = size, used
+    cell.used[0], cell.used[1] = size, used
     return True
 
 
@@ -821,7 +820,7 @@ def _most_ahead(cell: Cell, affine: Array, c: int, j: int, work: Work) -> tuple[
     for i in range(n):
         work.a[i] = affine[c, i] - affine[j, i]
     best, most = 0, -np.inf
-    for t in range(cell.count[0]):
+    for t in range(cell.used[0]):
         value = 0.0
         for i in range(n):
             value += work.a[i] * cell.points[t, i]
@@ -966,9 +965,9 @@ def affine_pieces(
     The cells cover the polytopes without a gap. A neuron's channels are affine forms with float coefficients, and one
     of those forms is largest at any point: a cell is cut along the forms, not along the network, and its rows are moved
     outward by the rounding of their own coefficients. A channel is left out where the others are proven to be ahead,
-    or behind by no more than `TOUCH`. So the error of a neuron that channel j wins is the error of j, or that of another
-    channel c plus what c may be ahead. The errors add up along the layers: with E and s the errors and sizes of a
-    neuron's inputs, a channel has |W| (E + (n + 4) ROUNDOFF s) + the rounding of its offset.
+    or behind by no more than `TOUCH`. So the error of a neuron that channel j wins is the error of j, or that of
+    another channel c plus what c may be ahead. The errors add up along the layers: with E and s the errors and sizes of
+    a neuron's inputs, a channel has |W| (E + (n + 4) ROUNDOFF s) + the rounding of its offset.
     """
     pool, net, n = Pool(*domains), Layers(*network), len(extent)
     store = Storage(*storage)
@@ -1046,16 +1045,16 @@ class Maps(NamedTuple):
 
     Attributes
     ----------
-    M, c : array (N, n, n) and (N, n)
-        x+ = M x + c.
-    error : array (N, n)
+    M, c : array (N, q, n) and (N, q)
+        y = M x + c.
+    error : array (N, q)
         Of the map, by component.
     mode : array (N,) of int
     spread : array (s, k)
-        h of D^(i) along the rows of V.
+        What is added along the rows of V in each mode: h of D^(i).
     heights, tops : array (N, k)
         The maximum over each whole cell, and its upper bound.
-    V : array (k, n)
+    V : array (k, q)
     """
 
     M: Array
@@ -1074,7 +1073,7 @@ def _pulled_back(maps: Maps, j: int, k: int, a: Array) -> float:
     n, value = len(a), maps.spread[maps.mode[j], k]
     for i in range(n):
         a[i] = 0.0
-    for r in range(n):
+    for r in range(maps.V.shape[1]):
         v = maps.V[k, r]
         if v != 0:
             value += v * maps.c[j, r]
@@ -1087,7 +1086,7 @@ def _pulled_back(maps: Maps, j: int, k: int, a: Array) -> float:
 def _highest_vertex(cell: Cell, a: Array) -> tuple[int, float]:
     """The vertex at which a x is largest, and that value."""
     best, most = 0, -np.inf
-    for t in range(cell.count[0]):
+    for t in range(cell.used[0]):
         value = 0.0
         for i in range(len(a)):
             value += a[i] * cell.points[t, i]
