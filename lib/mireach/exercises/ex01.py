@@ -98,7 +98,7 @@ def check_t3(leaving_point: Any) -> None:
             require(
                 not wanted,
                 f"you say that P lies in Q, but h_P - h_Q = {wanted:g} > 0 along row {facet} of Q.H: "
-                "look at the vertex of P with the largest value along that row",
+                "look at the corner of P with the largest value along that row",
             )
             continue
         x = require_array(x, (2,), "leaving_point(P, Q)")

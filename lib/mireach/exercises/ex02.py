@@ -121,13 +121,12 @@ def check_t2(smallest_M: Any) -> None:
             require(
                 M[j] >= behind[k, j] - TOL,
                 f"M_{j + 1} = {M[j]:.3f} is too small: at x = {text(corners[k])} channel {j + 1} is {z[k, j]:.3f} and "
-                f"the largest channel {z[k].max():.3f}, so q <= z_{j + 1} + M_{j + 1} excludes this state",
+                f"the largest channel {z[k].max():.3f}, so q <= z_{j + 1} + M_{j + 1} cuts this state off",
             )
             require(
                 M[j] <= behind[k, j] + TOL,
-                f"M_{j + 1} = {M[j]:.3f} is sound, but larger than needed by {M[j] - behind[k, j]:.3f}: the difference "
-                f"between the largest channel and channel {j + 1} is smaller in the whole box. z_i need not be largest "
-                f"where z_{j + 1} is smallest",
+                f"M_{j + 1} = {M[j]:.3f} is sound, but not the smallest: {M[j] - behind[k, j]:.3f} less is "
+                f"enough. Where z_i is largest, z_{j + 1} need not be smallest",
             )
     print("ok: the smallest big-M of each channel")
 
@@ -160,7 +159,7 @@ def check_t3(broken: Any) -> None:
     require(
         output > claim + NOTICEABLE,
         f"with M = {M:g} the model claims Phi <= {claim:.3f} on F, and Phi(x) = {output:.3f} at your x does not "
-        f"exceed that by {NOTICEABLE:g} or more",
+        f"contradict that by {NOTICEABLE:g} or more",
     )
     layers = _behind(net, x)
     where = [
@@ -172,8 +171,8 @@ def check_t3(broken: Any) -> None:
     row = f"channel {where[2] + 1} of neuron {where[1] + 1} in layer {where[0] + 1}"
     require(
         gap > M,
-        f"with M = {M:g} the model excludes x = {text(x)}, but not by the row of {row}: this channel is {gap:.3f} "
-        f"behind its winner there, which M = {M:g} allows",
+        f"with M = {M:g} the model has indeed lost x = {text(x)}, but not by the row of {row}: this channel is "
+        f"{gap:.3f} behind its winner there, which M = {M:g} allows",
     )
     print(
         f"ok: the model claims Phi <= {claim:.3f}, but Phi({text(x)}) = {output:.3f}. Unsound, for {row} is "

@@ -259,7 +259,7 @@ def _compare(problem: Any, v: Any, point: Array, successors: dict[int, Array]) -
     require(
         highest >= best - SOLVER_TOL,
         f"{case} your model admits at most v x+ = {highest:.4f} for v = {text(v.value)}, but mode {reached} gives "
-        f"{best:.4f}: the model excludes this mode, or part of its successors",
+        f"{best:.4f}: the model has lost this mode, or part of its successors",
     )
 
 

@@ -98,7 +98,7 @@ def check_t2(find_safe_set: Any) -> None:
             gap < 1e-6,
             f"{case} your set is RPI, but not F_k of eq. (21), Fk: it differs by {gap:.3g} along a direction",
         )
-        require(k == true.iterations, f"{case} your set is right, but its index is not {k}; F_0 = X has index 0")
+        require(k == true.iterations, f"{case} your set is right, but its number is not {k}; F_0 = X has number 0")
     print("ok: Proposition 3, Fmax, and None where no set is found")
 
 

@@ -64,7 +64,7 @@ def check_t2(points: Any, x: Any) -> None:
     require(
         here >= largest + DECEIVED,
         f"with {count} points the largest error at the grid is {largest:.4f}, and the error at x is {here:.4f}; it "
-        f"must exceed the error at the grid by {DECEIVED}",
+        f"shall be larger by {DECEIVED}",
     )
     print(f"ok: the largest error at the grid is {largest:.4f}, but at x = {text(x)} the error is {here:.4f}")
 
@@ -137,7 +137,7 @@ def check_t4(D: Any) -> None:
         support, needed = D.support([v])[0], (d @ np.array(v)).max()
         require(
             support <= needed + 1e-3,
-            f"D contains all errors but is too large: h_D{name} = {support:.4f}, but {needed:.4f} is enough",
+            f"D contains all errors but is too large: along {name} h_D = {support:.4f}, but {needed:.4f} is enough",
         )
     print("ok: D contains all errors and cannot be smaller")
 

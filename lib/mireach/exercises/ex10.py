@@ -73,7 +73,7 @@ def check_t1(lost_in_cell: Any) -> None:
             where = f"{title}x = {text(x[i])}, M x + c = {text(image[i])}, D = {_box(D)}, T = {_box(T)}"
             require(inside[i] or not said[i], f"{title}x = {text(x[i])} is in your set, but not in the cell C")
             require(
-                not (said[i] and gap[i] > 0), f"{where}: no d leads into T (distance {gap[i]:.2g}), so x is not lost"
+                not (said[i] and gap[i] > 0), f"{where}: no d leads into T, it misses by {gap[i]:.2g}; x is not lost"
             )
             require(said[i] or not inside[i] or gap[i] > 0, f"{where}: some d leads into T, so x is lost")
     print("ok: the preimage of an enlarged set, without any inverse")
