@@ -62,7 +62,7 @@ def largest_disturbance(
     method : "maximal", "template", or callable
         Which safe set is searched for: the maximal one (two states), F_max with the template C, or one that a function
         searches for. The function gets a ClosedLoop and returns a bool.
-        accuracy : float
+    accuracy : float
         Largest difference between `bound` and `above`.
     largest : float or None
         Upper end of the search. None is the smallest r at which D is as wide as X along some axis; with a larger r no
@@ -98,10 +98,12 @@ def largest_disturbance(
     >>> print(largest_disturbance(loop, "template", C=mr.box_directions(2), accuracy=0.01))  # x+ = x / 2 + d
     largest disturbance: yes at 0.5, no at 0.507812 (9 loops tried)
 
-    Notes ----- The answer is *yes* up to a bound and *no* beyond. For "maximal": a set that is RPI for D is RPI for
-    every smaller D. For "template": a smaller D makes every F_k and its image smaller. A function of a loop should be
-    monotone in the same way; otherwise bisection finds one of the bounds at which its answer changes. The sets of the
-    search for "maximal" are found in floating point; `maximal_safe_set` proves the one at `bound`.
+    Notes
+    -----
+    The answer is *yes* up to a bound and *no* beyond. For "maximal": a set that is RPI for D is RPI for every smaller
+    D. For "template": a smaller D makes every F_k and its image smaller. A function of a loop should be monotone in the
+    same way; otherwise bisection finds one of the bounds at which its answer changes. The sets of the search for
+    "maximal" are found in floating point; `maximal_safe_set` proves the one at `bound`.
     """
     require_kind(loop, ClosedLoop, "loop")
     accuracy = positive_number(accuracy, "accuracy")

@@ -39,7 +39,7 @@ class Attractor(Result):
     ----------
     set : Region
         An outer approximation of R_k(S) with k = `steps`. Every trajectory from S is in it from step k on.
-        steps : int
+    steps : int
         k of `set`.
     history : list of Region
         S, and outer approximations of R_1(S), ..., R_k(S), and of R_(k+1)(S), which was used to test the stopping rule.
@@ -163,11 +163,13 @@ def attractor(
     >>> found.settled, found.set.is_subset(safe.set, tol=1e-6)
     (True, True)
 
-    Notes ----- The number of corners of R_k may grow without bound. Every image is therefore enlarged by a box, and
-    corners within this margin are then removed, so that each set contains the image of the one before it. This is
-    checked in floats with a margin that covers their rounding. The half-width is at first 1.5e-11 of the size of X and
-    its image. It grows, up to an eighth of the tolerance, if a set would have more than 300 corners. `added` bounds the
-    sum of the enlargements.
+    Notes
+    -----
+    The number of corners of R_k may grow without bound. Every image is therefore enlarged by a box, and corners within
+    this margin are then removed, so that each set contains the image of the one before it. This is checked in floats
+    with a margin that covers their rounding. The half-width is at first 1.5e-11 of the size of X and its image. It
+    grows, up to an eighth of the tolerance, if a set would have more than 300 corners. `added` bounds the sum of the
+    enlargements.
     """
     by_axis = per_axis(tolerance, 2, "tolerance")
     max_steps = whole_number(max_steps, "max_steps", 1)

@@ -156,9 +156,11 @@ def maximal_safe_set(
     >>> found.set.contains([[1.0, 0.6], [1.0, 0.7]]).tolist()
     [True, False]
 
-    Notes ----- What is proven: `set` is RPI. `prove_rpi` shows this without rounding and without any of the code below.
-    If the proof fails, or S_k has too many corners, slacks up to 10^4 times as large are tried, and finally a slack of
-    0, which suits sets that are RPI without any margin. `slack`, `reason` and `given_up` report this.
+    Notes
+    -----
+    What is proven: `set` is RPI. `prove_rpi` shows this without rounding and without any of the code below. If the
+    proof fails, or S_k has too many corners, slacks up to 10^4 times as large are tried, and finally a slack of 0,
+    which suits sets that are RPI without any margin. `slack`, `reason` and `given_up` report this.
 
     What rests on floats: `outer` contains every RPI set, so X contains none if `outer` is empty. For `outer` the
     iteration removes only states that are lost with a margin: lost sets are shrunk by the slack before their preimages
@@ -317,9 +319,11 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
     >>> mr.prove_rpi(loop, X).verdict == "refuted"
     True
 
-    Notes ----- For every cell of the loop and every piece of the region, the image of their intersection, enlarged by
-    D^(i), minus the pieces of the region must be empty (`engines.exact.first_escape`). The proof does not depend on
-    GEOS or on the float cells. It depends on python-flint and on `engines/exact.py`.
+    Notes
+    -----
+    For every cell of the loop and every piece of the region, the image of their intersection, enlarged by D^(i), minus
+    the pieces of the region must be empty (`engines.exact.first_escape`). The proof does not depend on GEOS or on the
+    float cells. It depends on python-flint and on `engines/exact.py`.
     """
     require_kind(region, (Region, Polytope), "region")
     units = PlanarLoop.of(loop).units

@@ -101,8 +101,10 @@ def safe_set(
     >>> print(mr.safe_set(mr.case_study("pwa").loop, mr.directions(8)))
     safe set: proven; R1(F1) lies in X, so F1 is RPI; rounding counted
 
-    Notes ----- The stopping rule R_1(F_k) in X implies that F_k is RPI. F_k = R_1-bar(F_(k-1)) & X. Since F_k lies in
-    F_(k-1), R_1(F_k) lies in R_1-bar(F_(k-1)) by monotonicity. If it also lies in X, it lies in F_k.
+    Notes
+    -----
+    The stopping rule R_1(F_k) in X implies that F_k is RPI. F_k = R_1-bar(F_(k-1)) & X. Since F_k lies in F_(k-1),
+    R_1(F_k) lies in R_1-bar(F_(k-1)) by monotonicity. If it also lies in X, it lies in F_k.
     """
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
     V = with_rows(template(loop, C), loop.system.state_set.H)

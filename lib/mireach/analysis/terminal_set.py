@@ -139,9 +139,11 @@ def terminal_set(
     >>> print(terminal)
     terminal set: R43 of 43 steps; eq. TerminationFmin holds at k = 43; alpha = 1.0000202
 
-    Notes ----- With S = c + (R_k-bar - c) / (1 + epsilon), c in R_k-bar, S in R_1-bar(S) implies by monotonicity that S
-    lies in R_j-bar(F_max) for all j. So the limit lies in R_k-bar, and R_k-bar lies in c + (1 + epsilon) (limit - c).
-    The offsets of R_1-bar(S) are attained values here, not upper bounds.
+    Notes
+    -----
+    With S = c + (R_k-bar - c) / (1 + epsilon), c in R_k-bar, S in R_1-bar(S) implies by monotonicity that S lies in
+    R_j-bar(F_max) for all j. So the limit lies in R_k-bar, and R_k-bar lies in c + (1 + epsilon) (limit - c). The
+    offsets of R_1-bar(S) are attained values here, not upper bounds.
     """
     F = set_to_start_from(safe)
     epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)

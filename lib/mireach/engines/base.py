@@ -145,7 +145,9 @@ class Engine(ABC):
         engine has such a setting: `mireach.support` then passes a copy of the engine with the seconds that are left.
         None is no limit.
 
-    Notes ----- `mireach.support` checks the arguments, converts the loop, F, V and the cutoff into the loop's own units
+    Notes
+    -----
+    `mireach.support` checks the arguments, converts the loop, F, V and the cutoff into the loop's own units
     (`units.own_units`), checks that Phi lies in U, calls `support`, and converts the answer back. So an engine never
     sees the units of the user, and tolerances relative to 1 are relative to the size of X. `source` and `query` of the
     answer are set there, too.

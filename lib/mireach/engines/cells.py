@@ -234,17 +234,19 @@ class Cells(Engine):
     Exact : the same cells in rational arithmetic, for one step.
     Milp : for any number of states.
 
-    Notes ----- For every set that was compared with the exact engine, exact <= bound <= exact + 1e-9 along rows of
-    length 1. Very thin sets were among them, and loops with coordinates up to 800 and gains |M| up to 400. The reasons,
-    with eta = `CORNER` for the rounding of one corner:
+    Notes
+    -----
+    For every set that was compared with the exact engine, exact <= bound <= exact + 1e-9 along rows of length 1. Very
+    thin sets were among them, and loops with coordinates up to 800 and gains |M| up to 400. The reasons, with eta =
+    `CORNER` for the rounding of one corner:
 
     - Every state x of a mode lies within `cuts` eta of a cell of that mode, and there |K x + g - Phi(x)| is at most
       the `error` of the cell (`kernels.affine_pieces`), which grows with the weights. Rows of a region that involve u
       are moved outward by it.
     - Cells are cut by the rows of F moved outward by (`cuts` + rows) eta, so the remaining part of the cell contains a
-      point within this distance of x, and v x+ is at most the largest v (M x + c + d) over its corners plus |v| times
-      `LoopCells.error`:
-      |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. So the bound is not below the true value.
+      point within this distance of x. So v x+ is at most the largest v (M x + c + d) over its corners, plus |v| times
+      `LoopCells.error`, which is |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. The bound is therefore
+      not below the true value.
     - The bound is not far above the true value either. The remaining part of a cell may exceed F & X, or the cell
       itself, but in each row by no more than this distance. Edges between cells of one mode may be nearly parallel,
       because Phi is continuous. Where two rows of F, or one of F and one of X or of a region, meet at an angle with a
@@ -270,9 +272,11 @@ class Cells(Engine):
     ) -> Support:
         """As `Engine.support`, for two states.
 
-        Notes ----- For one step the result is a `CellSupport`: as `warm_start` for a smaller set it excludes cells that
-        this set cannot meet. For more than one step, every piece of the reachable set is propagated through the cells;
-        the number of pieces grows with `steps`. `bound` is rounded up to a multiple of 1.5e-11 (of a larger number for
+        Notes
+        -----
+        For one step the result is a `CellSupport`: as `warm_start` for a smaller set it excludes cells that this set
+        cannot meet. For more than one step, every piece of the reachable set is propagated through the cells; the
+        number of pieces grows with `steps`. `bound` is rounded up to a multiple of 1.5e-11 (of a larger number for
         images above 256, and times |v| for long rows), so that equal sets give equal numbers. `cutoff` is not used.
 
         Raises

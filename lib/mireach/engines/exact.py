@@ -147,9 +147,11 @@ def first_escape(loop: ClosedLoop, pieces: Sequence[Array]) -> Escape | None:
     ArithmeticError
         If the rest of an image falls into more than `MOST_PARTS` parts.
 
-    Notes ----- For every cell C and every piece P, the image of C & P, enlarged by D, minus all pieces must be empty.
-    Parts of it without interior relative to the image need no check: the image minus a closed set is open relative to
-    the image, so it is empty if it has no interior there. In the same way every piece minus all cells must be empty.
+    Notes
+    -----
+    For every cell C and every piece P, the image of C & P, enlarged by D, minus all pieces must be empty. Parts of it
+    without interior relative to the image need no check: the image minus a closed set is open relative to the image, so
+    it is empty if it has no interior there. In the same way every piece minus all cells must be empty.
     """
     hulls = [_hull([binary(corner) for corner in piece]) for piece in pieces]
     without_successor = _without_successor(loop, hulls)
