@@ -99,7 +99,7 @@ def check_t2(find_safe_set: Any) -> None:
             f"{case} your set is RPI, but not F_k of eq. (21), Fk: it differs by {gap:.3g} along a direction",
         )
         require(k == true.iterations, f"{case} your set is right, but its number is not {k}; F_0 = X has number 0")
-    print("ok: Proposition 3, Fmax, and None where no set is found")
+    print("ok: Prop. 3, Fmax, and None where no set is found")
 
 
 def check_t3(largest_bound: Any) -> None:

@@ -70,7 +70,7 @@ def check_t1(count_iterations: Any) -> None:
         count_iterations(loop, C, k - 1) is None,
         f"16 directions, |d| <= 0.05: with limit = {k - 1} the answer is None, for R1-bar(F_{k - 1}) leaves X",
     )
-    print("ok: Proposition Fmax, by hand")
+    print("ok: Prop. 3, Fmax, by hand")
 
 
 def check_t2(largest: Any) -> None:

@@ -1,6 +1,6 @@
 """Lemmas 1 and 2 of [Teichrib2025] by mixed-integer linear programming (HiGHS), for any number of states and steps.
 
-There are three formulations. "paper" is eq. (17), MILPReachableSets, as printed in the paper. "whole" is one model with a
+There are three formulations. "paper" is eq. (17), MILPReachableSets, as it is printed. "whole" is one model with a
 big-M for every row and without variables that bounds show to be superfluous. "split" is a branch and bound over boxes
 of the state space: affine bounds (`boxes`) settle most boxes, and models with few binaries settle the others.
 
