@@ -296,8 +296,8 @@ for z, found in about.items():
 # $z$ as centre the statement changes only a little:
 # $\overline{\mathcal{R}}_\infty \subseteq \overline{\mathcal{R}}_{\bar k}$ and
 # $\overline{\mathcal{R}}_{\bar k} \subseteq z + (1+\bar\epsilon)(\overline{\mathcal{R}}_\infty - z)$.
-# The equilibrium does not always help. A
-# discontinuous loop may have none, and then `centre="equilibrium"` reports this.
+# The equilibrium does not always help. A discontinuous loop may have none, and then `centre="equilibrium"` reports
+# this.
 
 # %% tags=["nbval-check-output"]
 for name in cases:
