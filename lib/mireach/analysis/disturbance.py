@@ -27,8 +27,8 @@ class LargestDisturbance(Result):
     bound : float
         With D = {d : |d_i| <= bound weights_i} in every mode there is a safe set; nan if there is none for d = 0.
     above : float
-        With this bound none was found; at most `accuracy` more, or inf if there is a safe set for the largest bound
-        of the search.
+        No safe set was found with this bound. It is at most `accuracy` above `bound`, or inf if there is a safe set for
+        the largest bound of the search.
     tried : int
         Number of loops for which a safe set was searched.
     """
@@ -60,18 +60,18 @@ def largest_disturbance(
     loop : ClosedLoop
         Its own disturbance sets do not matter.
     method : "maximal", "template", or callable
-        Which safe set: the maximal one (two states), F_max with the template C, or one that a function of a
-        ClosedLoop looks for (it returns a bool).
+        Which safe set is searched for: the maximal one (two states), F_max with the template C, or one that a function
+        searches for. The function gets a ClosedLoop and returns a bool.
     accuracy : float
-        Of r.
+        Largest difference between `bound` and `above`.
     largest : float or None
-        Where the search ends; None is the smallest r at which D is as wide as X along some axis, beyond which D fits
-        into no set in X.
+        Upper end of the search. None is the smallest r at which D is as wide as X along some axis; with a larger r no
+        set in X is RPI.
     C : array (l, n) or None
         Template of F_max, as in `safe_set`.
     weights : float or array (n,)
-        w, the shape of D; 1 for D = {d : |d|_inf <= r}, r in units of d. Where the states have different units, give
-        one number for each.
+        w, the shape of D. 1 gives D = {d : |d|_inf <= r} with r in units of d. If the states have different units, give
+        one number per state.
 
     Returns
     -------
@@ -100,10 +100,10 @@ def largest_disturbance(
 
     Notes
     -----
-    For "maximal" the answer is *yes* up to a bound and *no* beyond: what is RPI stays RPI for a smaller D. The sets
-    of the search are found in floating point; `maximal_safe_set` proves the one at `bound`. For F_max the
-    answer need not be monotone, for its sequence starts from X and a template covers different images
-    differently well. Bisection then finds one bound at which the answer changes from yes to no, of perhaps several.
+    The answer is *yes* up to a bound and *no* beyond. For "maximal": a set that is RPI for D is RPI for every smaller
+    D. For "template": a smaller D makes every F_k and its image smaller. A function of a loop should be monotone in the
+    same way; otherwise bisection finds one of the bounds at which its answer changes. The sets of the search for
+    "maximal" are found in floating point; `maximal_safe_set` proves the one at `bound`.
     """
     require_kind(loop, ClosedLoop, "loop")
     accuracy = positive_number(accuracy, "accuracy")
@@ -131,7 +131,7 @@ def largest_disturbance(
 
 
 def _method(method: str | Callable[[ClosedLoop], bool], C: ArrayLike | None) -> Callable[[ClosedLoop], bool]:
-    """The function of a loop that says whether there is a safe set."""
+    """The function that returns whether a loop has a safe set."""
     if callable(method):
         return method
     require_kind(method, str, "method")

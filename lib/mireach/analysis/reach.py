@@ -15,7 +15,7 @@ from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..typing import ArrayLike
 
-LEAST_TIME = 1e-3  # seconds that are left to an engine where the check of the inputs took all of its time
+LEAST_TIME = 1e-3  # seconds for an engine if the check of the inputs took all of its time
 
 
 def support(
@@ -34,19 +34,20 @@ def support(
     ----------
     loop : ClosedLoop
     F : Polytope
-        Where trajectories start. States outside X have no successor: F & X counts, and at every later
-        step only what stays in X goes on.
+        Initial states. States outside X have no successor, so the trajectories start in F & X, and at every later step
+        only states in X have successors.
     V : array (k, n)
         Directions, one per row.
     steps : int
         The k of R_k.
     engine : Engine, str or None
         An engine with its settings, such as `Milp(time_limit=60)`; "cells", "milp", "exact" or "cvxpy" for one with
-        its defaults; None for the cells for two states, else the MILP.
+        its defaults; None for the cells if there are two states, else the MILP.
     cutoff : array (k,) or None
-        Where the only question is whether h exceeds this: an engine may stop at any bound that does not.
+        Give it if only the question whether h exceeds this matters: an engine may stop at any bound that does not
+        exceed it.
     warm_start : Support or None
-        An earlier answer for the same loop, V and steps, and a set that holds F.
+        An earlier result for the same loop, V and steps, and a set that contains F.
 
     Returns
     -------
@@ -58,7 +59,8 @@ def support(
     TypeError
         If an argument is of another kind.
     ValueError
-        If sizes do not match, the engine has another name, `warm_start` answers another question, or Phi leaves U.
+        If sizes do not match, the engine has another name, `warm_start` is the result of another query, or Phi leaves
+        U.
     SolverStopped
         If a time limit stopped the engine; its `support` holds the bounds so far.
 
@@ -98,7 +100,7 @@ def support(
 
 
 def _require_warm_start(warm_start: Support, query: Query) -> None:
-    """Raise ValueError unless the bounds of an earlier answer hold for this question."""
+    """Raise ValueError unless the bounds of an earlier result are valid for this query."""
     require_kind(warm_start, Support, "warm_start")
     before = warm_start.query
     if (
@@ -180,7 +182,7 @@ def outer_reach(
     Warns
     -----
     UserWarning
-        If a set leaves X: the sets that follow hold only trajectories that stay in X.
+        If a set leaves X: the later sets contain only trajectories that stay in X.
 
     See Also
     --------

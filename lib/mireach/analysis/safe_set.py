@@ -1,4 +1,4 @@
-"""The safe set F_max (Prop. Fmax): the largest RPI set that the template iteration finds within X."""
+"""The safe set F_max (Prop. 3, Fmax): the RPI set in X that the iteration with a template finds."""
 
 from dataclasses import dataclass
 
@@ -21,23 +21,23 @@ from .rpi import decimal_hint, exact_excess
 
 @dataclass(frozen=True, eq=False)
 class SafeSet(Result):
-    """Answer of `safe_set`.
+    """Result of `safe_set`.
 
     Attributes
     ----------
     set : Polytope or None
         F_max; None if none was found.
     iterations : int
-        k with F_max = F_k.
+        The k with F_max = F_k.
     history : list of Polytope
         F_0 = X, F_1, ...
     verdict : Verdict
-        "refuted": the sequence has come to a set that it cannot leave and that is not RPI, or to the
-        empty set, so it finds none with this template.
+        "refuted": the sequence has stopped at a set that is not RPI, or at the empty set, so it finds no safe set with
+        this template.
     reason : str
     witness : Witness or None
-        Where no set was found: a state of the last F_k, its input, mode and disturbance, whose image
-        leaves X.
+        If no set was found: a state of the last F_k with its input, mode and disturbance, whose successor lies outside
+        X.
     settled : str
         As in `RPICheck`.
     """
@@ -63,14 +63,14 @@ def safe_set(
     tol: float | None = None,
     progress: bool = False,
 ) -> SafeSet:
-    """F_max of Prop. Fmax: iterate F_(k+1) = R_1-bar(F_k) & X from F_0 = X until R_1(F_k) lies in X (eq. (21), Fk).
+    """F_max of Prop. 3, Fmax: iterate F_(k+1) = R_1-bar(F_k) & X from F_0 = X until R_1(F_k) lies in X (eq. (21), Fk).
 
     Parameters
     ----------
     loop : ClosedLoop
     C : array (l, n) or None
-        Template; None is 8 directions in the plane and (I, -I) otherwise. Rows of X that it lacks are
-        added: the sets lie in X.
+        Template; None is 8 directions in the plane and (I, -I) otherwise. Rows of X that it does not contain are added,
+        so that the sets lie in X.
     engine : Engine, str or None
         As in `support`.
     max_iterations : int
@@ -103,8 +103,8 @@ def safe_set(
 
     Notes
     -----
-    F_(k+1) is a subset of F_k, so R_1-bar(F_k) is one of F_k exactly when it is one of X. What remains
-    of R_1(F_k) in F_k follows by monotonicity: F_k in F_(k-1) gives R_1(F_k) in R_1-bar(F_(k-1)).
+    The stopping rule R_1(F_k) in X implies that F_k is RPI. F_k = R_1-bar(F_(k-1)) & X. Since F_k lies in F_(k-1),
+    R_1(F_k) lies in R_1-bar(F_(k-1)) by monotonicity. If it also lies in X, it lies in F_k.
     """
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
     V = with_rows(template(loop, C), loop.system.state_set.H)
@@ -119,7 +119,7 @@ def safe_set(
             if found.stopped:
                 return SafeSet(None, k, history, Verdict.UNKNOWN, found.stopped.removeprefix("; "), None)
             if found.holds.all():
-                if believed:  # F_k may be smaller than the image of F_(k-1): that it is RPI is settled for itself
+                if believed:  # F_k may be smaller than the image of F_(k-1), so whether it is RPI is decided separately
                     found = compare(loop, history[-1], V, history[-1].offsets(V), engine, tol)
                 if not found.holds.all():
                     reason = f"R1(F{k}) lies in X, but not in F{k}: a bound that rests on {SOLVER} was wrong"

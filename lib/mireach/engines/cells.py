@@ -1,8 +1,8 @@
 """The exact cells of a closed loop in the plane.
 
-Under a maxout network a piecewise-affine system with two states is again piecewise affine: X falls into
-convex polygons, the cells, on each of which one mode acts and Phi is affine. The support function of the
-reachable set is then a maximum over the vertices of (cell & F), without a MILP.
+Under a maxout network the loop of a piecewise-affine system with two states is again piecewise affine: X is divided
+into convex polygons, the cells, on each of which one mode acts and Phi is affine. The support function of the reachable
+set is then a maximum over the vertices of (cell & F), without a MILP.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from ..typing import Array, ArrayLike, IntArray
 from .base import Engine, LazySequence, Support, Witness, checked_query, empty_support, replay
 
 SHAPED = 16  # a polygon of X and a region counts for this many cuts, which bounds the rounding of its corners
-CUTS = 64  # consecutive cuts by rows of F that the errors of a cell allow for
+CUTS = 64  # consecutive cuts by rows of F whose rounding the error of a cell includes
 SHARP = 0.1  # tips whose angle has a smaller sine are cut off by an additional row, since rounding moves them far
 MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall into
 
@@ -61,7 +61,7 @@ class NetworkCells:
     error : array (N, m)
         Upper bound of |K x + g - Phi(x)| on the cell, rounding of its corners included.
     cuts : array (N,) of int
-        Every state x of a mode lies within `cuts` CORNER of a cell of the mode (relative to the size of X).
+        Every state x of a mode lies within `cuts` times CORNER of a cell of the mode (relative to the size of X).
     walls : Walls
     """
 
@@ -126,7 +126,7 @@ class NetworkCells:
 
 @dataclass(frozen=True, eq=False)
 class CellSupport(Support):
-    """A Support and the cells that are not yet ruled out for smaller sets.
+    """A Support and the cells that may meet F, for warm starts with smaller sets.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class CellSupport(Support):
         The set whose reachable set it is.
     cells : NetworkCells
     left : array (q,) of int
-        All of them except those that do not meet F.
+        The cells that may meet F.
     """
 
     F: Polytope
@@ -142,7 +142,7 @@ class CellSupport(Support):
     left: IntArray
 
     def within(self, F: Polytope, cells: NetworkCells) -> IntArray:
-        """The `cells` that a set F may meet: `left` if F has the rows of `self.F` and no larger offset, else all."""
+        """The `cells` that a set F may meet: `left` if F has the rows of `self.F` and no larger offsets, else all."""
         smaller = self.cells is cells and np.array_equal(F.H, self.F.H) and (F.h <= self.F.h).all()
         return self.left if smaller else cells.all
 
@@ -236,25 +236,26 @@ class Cells(Engine):
 
     Notes
     -----
-    exact <= bound <= exact + 1e-9 was found for every set that was compared with the exact engine, thin slivers and
-    needles among them, along rows of length 1, for loops with coordinates up to 800 and gains |M| up to 400. The
-    reasons, with eta = `CORNER` for the rounding of one corner:
+    For every set that was compared with the exact engine, exact <= bound <= exact + 1e-9 along rows of length 1. Very
+    thin sets were among them, and loops with coordinates up to 800 and gains |M| up to 400. The reasons, with eta =
+    `CORNER` for the rounding of one corner:
 
     - Every state x of a mode lies within `cuts` eta of a cell of that mode, and there |K x + g - Phi(x)| is at most
       the `error` of the cell (`kernels.affine_pieces`), which grows with the weights. Rows of a region that involve u
       are moved outward by it.
-    - Cells are cut by the rows of F moved outward by (`cuts` + rows) eta, so the rest of the cell contains a point
-      that near x, and v x+ is at most the largest v (M x + c + d) over its corners plus |v| times `LoopCells.error`:
-      |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. So the bound is not below the true value.
-    - Nor is it far above. The rest of a cell may lie outside F & X, or outside the cell itself, but not by more than
-      that in any row. Edges between cells of one mode may be as parallel as they like: Phi is continuous.
-      Where two rows of F, or one of F and one of X or of a region, make a tip of a sine below `SHARP`, a row through
-      the exact tip, in rational arithmetic, is added across it.
+    - Cells are cut by the rows of F moved outward by (`cuts` + rows) eta, so the remaining part of the cell contains a
+      point within this distance of x. So v x+ is at most the largest v (M x + c + d) over its corners, plus |v| times
+      `LoopCells.error`, which is |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. The bound is therefore
+      not below the true value.
+    - The bound is not far above the true value either. The remaining part of a cell may exceed F & X, or the cell
+      itself, but in each row by no more than this distance. Edges between cells of one mode may be nearly parallel,
+      because Phi is continuous. Where two rows of F, or one of F and one of X or of a region, meet at an angle with a
+      sine below `SHARP`, a row through the exact tip is added, computed in rational arithmetic.
 
-    Limits: a mode whose boundary depends on u is enlarged by the rounding of u, so for a row of F that is parallel to
-    the boundary within an angle w the bound is high by about 1e-14 / w. Sets that come within 1e-11 of each other count
-    as touching, and rows that are opposite to within 4e-15 as parallel. With `steps` > 1 each piece is widened by its
-    error before the next step: the bound stays above the true value, and the error grows with the gain of the loop.
+    Limits: a mode whose boundary depends on u is enlarged by the rounding of u. For a row of F at a small angle w to
+    this boundary, the bound is therefore too large by about 1e-14 / w. Sets that come within 1e-11 of each other count
+    as touching, and rows that are opposite to within 4e-15 count as parallel. With `steps` > 1 each piece is widened by
+    its error before the next step: the bound stays above the true value, and the error grows with the gain of the loop.
     """
 
     name: ClassVar[str] = "cells"
@@ -274,9 +275,9 @@ class Cells(Engine):
         Notes
         -----
         For one step the result is a `CellSupport`: as `warm_start` for a smaller set it excludes cells that this set
-        cannot meet. More than one step follows every piece of the reachable set through the cells; their number
-        grows with `steps`. `bound` is rounded up to a multiple of 1.5e-11, of more for images above 256 (times |v| for
-        long rows), so that equal sets give equal numbers. `cutoff` is not used.
+        cannot meet. For more than one step, every piece of the reachable set is propagated through the cells; the
+        number of pieces grows with `steps`. `bound` is rounded up to a multiple of 1.5e-11 (of a larger number for
+        images above 256, and times |v| for long rows), so that equal sets give equal numbers. `cutoff` is not used.
 
         Raises
         ------
@@ -396,7 +397,7 @@ def _domains(regions: tuple[Polytope, ...], state_set: Polytope) -> tuple[Polygo
 def _corners(P: Polytope, H: Array = np.zeros((0, 2)), h: Array = np.zeros(0)) -> Array:  # noqa: B008
     """The corners of {x in P : H x <= h} for a bounded Polytope P: array (v, 2).
 
-    Their error is at most the rounding of `SHAPED` cuts. Where a tip is sharp they lie further out.
+    Their error is at most the rounding of `SHAPED` cuts. At sharp tips they may lie further outside.
     """
     box = np.array(P.bounding_box())
     size, nowhere = _size(box), Walls(np.zeros((0, 2)), np.zeros(0), np.zeros(0, int))

@@ -1,7 +1,7 @@
 """The cells of a closed loop in the plane in rational arithmetic: no rounding, so an answer is a proof.
 
-A number is the IEEE float that it is (`rational`). A polygon is the list of its corners, in order around it and none
-of them superfluous. One corner is a point, two corners are a segment.
+Every float is converted exactly into a fraction (`rational`). A polygon is the list of its corners, in order and
+without superfluous ones. One corner is a point, two corners are a segment.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from ..typing import Array, ArrayLike, BoolArray, IntArray, Rational
 from .base import EXACT, Engine, Escape, LazySequence, Support, Witness, checked_query, empty_support, replay
 from .steps import Row, Step, matrices
 
-MOST_PARTS = 10_000  # parts into which the rest of one image may fall while it is compared with a region
+MOST_PARTS = 10_000  # parts of one image outside a region; beyond this number the comparison stops
 
 Point = tuple[Rational, Rational]
 Polygon = list[Point]
@@ -149,10 +149,9 @@ def first_escape(loop: ClosedLoop, pieces: Sequence[Array]) -> Escape | None:
 
     Notes
     -----
-    For every cell C and every piece P, the image of C & P, widened by D, less all pieces has to be empty.
-    Parts of it without interior relative to the image are left out: the image less a closed set is open
-    relative to the image, so that it is empty if it has no interior there. In the same way every piece less all
-    cells has to be empty.
+    For every cell C and every piece P, the image of C & P, enlarged by D, minus all pieces must be empty. Parts of it
+    without interior relative to the image need no check: the image minus a closed set is open relative to the image, so
+    it is empty if it has no interior there. In the same way every piece minus all cells must be empty.
     """
     hulls = [_hull([binary(corner) for corner in piece]) for piece in pieces]
     without_successor = _without_successor(loop, hulls)
@@ -245,7 +244,7 @@ def _clip(corners: Polygon, a: Sequence[Rational], b: Rational) -> Polygon:
             share = value / (value - after)
             kept.append((x[0] + share * (y[0] - x[0]), x[1] + share * (y[1] - x[1])))
     kept = [x for i, x in enumerate(kept) if i == 0 or x != kept[i - 1]]
-    return kept[:-1] if len(kept) > 1 and kept[-1] == kept[0] else kept  # a segment is crossed there and back
+    return kept[:-1] if len(kept) > 1 and kept[-1] == kept[0] else kept  # a segment is traversed in both directions
 
 
 def _clip_all(corners: Polygon, rows: Sequence[Row]) -> Polygon:
@@ -294,7 +293,7 @@ def _sides(corners: Polygon) -> list[Row]:
 
 
 def _less(corners: Polygon, others: Sequence[tuple[Sequence[Row], Sequence[float]]]) -> Polygon:
-    """A part, with interior relative to it, of a polygon less closed polygons (sides, box); or []."""
+    """A part of a polygon minus closed polygons (sides, box), with interior relative to the polygon; or []."""
     rest = [(corners, _box(corners))]
     for sides, (left, bottom, right, top) in others:
         following = []
@@ -346,7 +345,7 @@ def _meeting(boxes: Array, box: Array) -> BoolArray:
 
 
 def _escape(mode: int, image: Polygon, ends: dict[Point, tuple[Point, Point]], rest: Polygon) -> Escape:
-    """The step to the middle of `rest`, a part of the image.
+    """The step whose successor is the middle of `rest`, a part of the image.
 
     `ends` gives the state and the disturbance that lead to each corner of the image. The middle of `rest` is a convex
     combination of such corners, and its state and disturbance are the same combination of theirs.
@@ -426,7 +425,7 @@ def _heights(loop: ClosedLoop, V: Array) -> Array:
 
 
 def _near(loop: ClosedLoop, F: Polytope) -> IntArray:
-    """Indices of the cells that may meet F: floats do not rule it out."""
+    """Indices of the cells that, computed in floats, may meet F."""
     points, _, starts = _floats(loop)
     around = AROUND * (1 + np.abs(points).max()) * (1 + np.abs(F.H).sum(axis=1) + np.abs(F.h))
     return np.flatnonzero((np.minimum.reduceat(points @ F.H.T - F.h, starts) <= around).all(axis=1))

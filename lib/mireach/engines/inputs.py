@@ -32,13 +32,13 @@ def require_inputs(loop: ClosedLoop, time_limit: float | None = None) -> None:
     ValueError
         If Phi leaves U.
     SolverStopped
-        If the time limit came first.
+        If the time limit was reached first.
 
     Notes
     -----
     Interval arithmetic decides for saturated networks, which do not leave U even by rounding. For two states the
-    corners of the cells decide: in floats with their rounding counted, and in rational arithmetic where that does not
-    suffice. For more states the MILP decides, to within 1e-7 of the size of U.
+    corners of the cells decide: in floats with bounds on the rounding errors, and in rational arithmetic where these do
+    not suffice. For more states the MILP decides, to within 1e-7 of the size of U.
     """
     x = violating_state(loop, loop.system.input_set, time_limit)
     if x is not None:
