@@ -317,10 +317,10 @@ for factor in (1, 10, 100, 1000):
 #
 # ### It can make the result wrong
 #
-# A solver works with floating-point numbers. HiGHS accepts a binary within $10^{-6}$ of 0 or 1 as integral. In $q \le
-# z_j + M (1 - \delta_j)$ this tolerance is multiplied by $M$. The next cell shows such a point of our neuron, chosen by
-# hand, at $x = 0$ for $M = 10^6$. Within the tolerance it is integral, it satisfies every row, and its $q$ is twice the
-# output of the neuron.
+# A solver works with floating-point numbers. HiGHS accepts a binary within $10^{-6}$ of 0 or 1 as integral. In
+# $q \le z_j + M (1 - \delta_j)$ this tolerance is multiplied by $M$. The next cell shows such a point of our neuron,
+# chosen by hand, at $x = 0$ for $M = 10^6$. Within the tolerance it is integral, it satisfies every row, and its $q$ is
+# twice the output of the neuron.
 
 # %% tags=["nbval-check-output"]
 M, x0, q0 = 1e6, np.array([0.0]), 1.0
@@ -360,8 +360,8 @@ for factor in (1, 1e3, 1e6, 1e7, 1e8):
 # `"interval"` uses the bounds of part 2. The option `"lp"` uses linear programs: it takes the constraints of the layers
 # before, relaxes their binaries, and maximises each difference of channels $z_i - z_j$ over $\mathcal{F}$. If a channel
 # is proven never to be the largest, it gets no binary. The same holds for a mode that is proven never to be active. We
-# compare both for the 5x5 network of the second case study in closed loop with its plant, over the box $\mathcal{F} =
-# \frac{1}{2} \mathcal{X}$. (The nine modes of the plant add nine binaries; see notebook 03.)
+# compare both for the 5x5 network of the second case study in closed loop with its plant, over the box
+# $\mathcal{F} = \frac{1}{2} \mathcal{X}$. (The nine modes of the plant add nine binaries; see notebook 03.)
 
 # %%
 from mireach.engines.milp.formulation import build
@@ -400,9 +400,10 @@ for name, engine in ways.items():
 print("all four agree to 1e-5:", bool(np.ptp(values) < 1e-5))
 
 # %% [markdown]
-# All give the same maximum. The later ones need fewer binaries and start from a tighter bound. The last of the four is
-# a different engine: it divides the plane into the cells on which the loop is affine (notebook 10), and needs neither a
-# big-$M$ nor binaries. The two engines are independent, so each one checks the other.
+# All four give the same maximum. From the first to the third, the number of binaries decreases and the initial bound
+# becomes tighter. The fourth is a different engine: it divides the plane into the cells on which the loop is affine
+# (notebook 10), and needs neither a big-$M$ nor binaries. The two engines are independent, so each one checks the
+# other.
 #
 # ## What you saw
 #

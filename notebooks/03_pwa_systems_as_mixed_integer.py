@@ -132,9 +132,9 @@ plt.show()
 # $$ H^{(i)} \begin{pmatrix} x(k) \\ u(k) \end{pmatrix} \le h^{(i)} + \mathbf{1} M (1 - \gamma_i(k)), \qquad
 #    \mathbf{1}^\top \gamma(k) = 1, \quad \gamma(k) \in \{0, 1\}^s . $$
 #
-# $\gamma_i = 1$ enforces $(x, u) \in \mathcal{P}^{(i)}$. $\gamma_i = 0$ must not restrict $(x, u)$ within $\mathcal{X}
-# \times \mathcal{U}$. Therefore, as in [Bemporad1999], $M$ is the largest difference between the left-hand side and the
-# right-hand side of the row. This is a support function:
+# $\gamma_i = 1$ enforces $(x, u) \in \mathcal{P}^{(i)}$. $\gamma_i = 0$ must not restrict $(x, u)$ within
+# $\mathcal{X} \times \mathcal{U}$. Therefore, as in [Bemporad1999], $M$ is the largest difference between the left-hand
+# side and the right-hand side of the row. This is a support function:
 #
 # $$ M = h_{\mathcal{X} \times \mathcal{U}}(H^{(i)}_r) - h^{(i)}_r \quad \text{for row } r . $$
 

@@ -95,8 +95,8 @@ def disturbed_step(system, x, u, M=100.0):
 # %% [markdown]
 # One common $M = 100$ is large enough here, because no quantity in this system exceeds 40. Notebook 02 showed the
 # effect of a big-$M$ that is too small or too large. Now we fix a state and its input $u = \Phi(x)$, and maximise $x^+$
-# along the eight directions of the template. The result is $h_{\mathcal{R}_1(\{x\})}(C)$. It must equal $C (A^{(i)} x +
-# B^{(i)} u + p^{(i)}) + h_{\mathcal{D}^{(i)}}(C)$.
+# along the eight directions of the template. The result is $h_{\mathcal{R}_1(\{x\})}(C)$. It must equal
+# $C (A^{(i)} x + B^{(i)} u + p^{(i)}) + h_{\mathcal{D}^{(i)}}(C)$.
 
 # %% tags=["nbval-check-output"]
 C = mr.directions(8)

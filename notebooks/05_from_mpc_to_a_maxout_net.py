@@ -277,8 +277,9 @@ except ValueError as refusal:
 # %% [markdown]
 # ## 6. Why the loss is clipped
 #
-# Two thirds of the optimal inputs lie on a limit. There the unsaturated output may take *any* value beyond the limit,
-# because the projection corrects it. There are three candidates for the loss of one sample, with $z$ the raw output:
+# Two thirds of the optimal inputs lie on a limit. At these samples the unsaturated output may take *any* value beyond
+# the limit, because the projection corrects it. There are three candidates for the loss of one sample, with $z$ the raw
+# output:
 #
 # $$(z - u^*)^2, \qquad (\mathrm{clip}(z) - u^*)^2, \qquad
 #   (\mathrm{clip}(z) + \lambda\,(z - \mathrm{clip}(z)) - u^*)^2.$$

@@ -71,15 +71,15 @@ plt.show()
 # %% [markdown]
 # ## 2. A safe set, iteration by iteration
 #
-# Start with the whole set $\mathcal{X}$. In each iteration, keep the part of $\mathcal{X}$ that one step can reach (eq.
-# (21), Fk):
+# Start with the whole set $\mathcal{X}$. In each iteration, keep the part of $\mathcal{X}$ that one step can reach
+# (eq. (21), Fk):
 #
 # $$\mathcal{F}_0 = \mathcal{X}, \qquad
 #   \mathcal{F}_{k+1} = \overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}_k) \cap \mathcal{X}.$$
 #
 # Here $\overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}) = \{x : C x \le h(C)\}$ is the smallest set with the
 # normals $C$ that contains all states reachable from $\mathcal{F}$ in one step (eq. (18), Rover1). With $C = (I, -I)$
-# the sets are boxes. The first step by hand:
+# the sets are boxes. We compute the first step by hand:
 
 # %% tags=["nbval-check-output"]
 image = mr.outer_step(loop, X, C_box)  # R_1-bar(F_0), eq. (18), Rover1
@@ -164,9 +164,9 @@ for (name, v), here in zip(limits.items(), F_1.support(C_box)):
 # %% [markdown]
 # **What to see.** The *top* side, $8.37 + 0.15$, and the *bottom* side, the edge of $\mathcal{X}$, follow from the
 # modes and $\mathcal{X}$ alone. The *left* side is as close to the origin as any controller allows. At the worst state
-# $(0, -10)$ and near it, the network applies the best input, $\Phi = +1$ (full braking), so that $-8.15 + 1 - 0.15 =
-# -7.30$. So for every network that brakes fully there, three sides agree with the paper's box $[-7.3, 8.91] \times
-# [-10, 8.52]$ in every printed digit. The *right* side depends on the particular network.
+# $(0, -10)$ and near it, the network applies the best input, $\Phi = +1$ (full braking), so that
+# $-8.15 + 1 - 0.15 = -7.30$. So for every network that brakes fully there, three sides agree with the paper's box
+# $[-7.3, 8.91] \times [-10, 8.52]$ in every printed digit. The *right* side depends on the particular network.
 
 # %% tags=["nbval-check-output"]
 print("Phi(0, -10) =", loop.network(np.array([0.0, -10.0])).round(6))
@@ -302,8 +302,8 @@ step_viewer(draw_step, len(terminal.history))
 
 # %% [markdown]
 # The next figure shows the convergence in numbers. Left: the values of the support function
-# $h_{\overline{\mathcal{R}}_k}(C_i)$. Right: the violation of eq. (25), TerminationFmin, $\max_i h_S(C_i) -
-# h_{\overline{\mathcal{R}}_1(S)}(C_i)$ with $S = \overline{\mathcal{R}}_k / (1 + \bar\epsilon)$.
+# $h_{\overline{\mathcal{R}}_k}(C_i)$. Right: the violation of eq. (25), TerminationFmin,
+# $\max_i h_S(C_i) - h_{\overline{\mathcal{R}}_1(S)}(C_i)$ with $S = \overline{\mathcal{R}}_k / (1 + \bar\epsilon)$.
 
 # %%
 supports = np.array([R.support(C_eight) for R in terminal.history])
@@ -455,10 +455,11 @@ print(f"Theorem 1 applies at {len(terminal.stable_steps)} of the {terminal.steps
 #   \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_{k-1}) = \overline{\mathcal{R}}_k,$$
 #
 # but it needs only that the first set lies in the last set. Eq. (26), StabCondFmin, is sufficient for this inclusion,
-# but not necessary. If a facet *does not move*, $h_{\overline{\mathcal{R}}_k}(C_i) =
-# h_{\overline{\mathcal{R}}_{k-1}}(C_i)$, then $\alpha_k = 1$ exactly, and the theorem does not apply. But one step from
-# a slightly larger set may still lead into $\overline{\mathcal{R}}_k$. `mr.contraction` computes the largest $\alpha$
-# with $\mathcal{R}_1(\alpha\,\overline{\mathcal{R}}_k) \subseteq \overline{\mathcal{R}}_k$ by bisection.
+# but not necessary. If a facet *does not move*,
+# $h_{\overline{\mathcal{R}}_k}(C_i) = h_{\overline{\mathcal{R}}_{k-1}}(C_i)$, then $\alpha_k = 1$ exactly, and the
+# theorem does not apply. But one step from a slightly larger set may still lead into $\overline{\mathcal{R}}_k$.
+# `mr.contraction` computes the largest $\alpha$ with
+# $\mathcal{R}_1(\alpha\,\overline{\mathcal{R}}_k) \subseteq \overline{\mathcal{R}}_k$ by bisection.
 
 # %%
 k = np.arange(1, terminal.steps + 1)
@@ -546,9 +547,9 @@ for name, paper, here in rows:
 #
 # ## What you saw
 #
-# - The iteration of Prop. 3, Fmax, is a loop of two lines. It stops when $\overline{\mathcal{R}}_1(\mathcal{F}_k)
-#   \subseteq \mathcal{X}$, because $\mathcal{F}_k$ is then RPI. Two sides of $\mathcal{F}_{\max}$ do not depend on the
-#   network here.
+# - The iteration of Prop. 3, Fmax, is a loop of two lines. It stops when
+#   $\overline{\mathcal{R}}_1(\mathcal{F}_k) \subseteq \mathcal{X}$, because $\mathcal{F}_k$ is then RPI. Two sides of
+#   $\mathcal{F}_{\max}$ do not depend on the network here.
 # - One template can fail where another succeeds. The witness shows at which state.
 # - Eq. (25), TerminationFmin, bounds the limit set from inside and outside. The sets keep shrinking long after the
 #   trajectories have arrived.
