@@ -74,9 +74,9 @@ from mireach import plotting
 #    each facet is the optimal value of a mixed-integer linear program (Lemmas 1 and 2).
 # 2. **Safe set.** Iterate $\mathcal{F}_{k+1} = \overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F}_k)\cap\mathcal{X}$
 #    from $\mathcal{F}_0 = \mathcal{X}$ until the set is RPI. This set is $\mathcal{F}_{\max}$ (Prop. 3, Fmax).
-# 3. **Terminal set.** Apply the outer step 1 repeatedly, starting from $\mathcal{F}_{\max}$, until the set hardly
-#    changes: $\overline{\mathcal{R}}_{\min} = \overline{\mathcal{R}}_{\overline{k}}^{\mathcal{D}}(\mathcal{F}_{\max})$
-#    (eq. (24), RminOver, and eq. (25), TerminationFmin).
+# 3. **Terminal set.** Apply step 1 repeatedly, starting from $\mathcal{F}_{\max}$, until the set hardly changes:
+#    $\overline{\mathcal{R}}_{\min} = \overline{\mathcal{R}}_{\overline{k}}^{\mathcal{D}}(\mathcal{F}_{\max})$ (eq.
+#    (24), RminOver, and eq. (25), TerminationFmin).
 # 4. **Stability.** If the terminal set, scaled by some $\alpha > 1$, lies in the set of the previous step, the terminal
 #    set is asymptotically stable (Theorem 1).
 

@@ -297,9 +297,9 @@ plt.show()
 
 # %% [markdown]
 # *What to see:* the true set (grey) shrinks by a factor of 0.8 per step. With eight directions the sets are exact here,
-# because the rotation maps these directions onto themselves. With four directions each step enlarges the set by a
-# factor of $\sqrt2$. This outweighs the contraction by 0.8, so the box grows without bound while the true set shrinks
-# to a point.
+# because the rotation maps these directions onto themselves. With four directions each step over-approximates the image
+# by a factor of $\sqrt2$. This outweighs the contraction by 0.8, so the box grows without bound while the true set
+# shrinks to a point.
 #
 # The next cell shows the same with a slider. It needs a running kernel; without one, use the figure above.
 
@@ -319,8 +319,7 @@ for name, C in (("(I, -I)", mr.box_directions(2)), ("eight directions", mr.direc
 # %% [markdown]
 # **What you saw.** The support function describes a convex set completely. Images, sums, unions and inclusion are
 # simple to compute with it. A template turns any bounded set into a polytope with few facets. This polytope is exact
-# along the rows of the template and too large between them. Over repeated steps the over-approximation can grow from
-# step to step.
+# along the rows of the template and too large between them. Over repeated steps the over-approximation can accumulate.
 #
 # **On your own.**
 #

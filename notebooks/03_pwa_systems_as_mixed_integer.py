@@ -13,7 +13,8 @@
 #
 # **What you will do.** Look at the four-mode system of the first case study: its regions, their images under each mode,
 # and the jumps at their boundaries. Then write "choose the right mode and apply it" as linear constraints with binary
-# variables in cvxpy. A solver then finds the largest and the smallest value of each next state over a whole set.
+# variables in cvxpy. A solver then finds the largest and the smallest value of each component of the next state over a
+# whole set.
 #
 # **What you will learn.** The meaning of eq. (10), gammaForR, and eq. (12), MISys, line by line. Why the model must
 # include both modes at a boundary. How the big-$M$ follows from the sets. How regions may also depend on the input.
@@ -122,8 +123,8 @@ plt.show()
 #
 # Which of the two is the right successor? The equation does not determine it. A measured or computed state is never
 # known to lie exactly on a boundary: rounding or an arbitrarily small disturbance may move it to either side. A proof
-# about the system must therefore include **both** successors. If a proof includes only one of them, the set need not be
-# safe.
+# about the system must therefore include **both** successors. If a proof includes only one of them, the system may
+# still leave the set.
 #
 # ## 3. Choose a region: eq. (10), gammaForR
 #
@@ -258,7 +259,7 @@ for name, target in (("mode 1's", both[0]), ("half way", both.mean(axis=0)), ("m
 # %% [markdown]
 # All engines of this package give the same result. In the next cell the controller always gives $u = 0.5$ (a network
 # without hidden layers), and $\mathcal{F}$ is a single point. The method `step` simulates the loop and must choose one
-# value. It uses the first mode that contains the point.
+# value. It uses the first mode whose region contains the point.
 
 # %% tags=["nbval-check-output"]
 loop = mr.ClosedLoop(plant, mr.MaxoutNetwork([], np.zeros((1, 2)), u0))

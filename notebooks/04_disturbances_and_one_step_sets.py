@@ -142,8 +142,8 @@ plt.show()
 # Each dashed arrow leads from a state (black) to its undisturbed successor. Around the successor lies the disturbance
 # set of the state's region: a box, a segment, a single point, a diamond.
 #
-# The regions are closed, so on a boundary more than one binary may be 1. The state $x = (0, -7)$ lies in the regions of
-# modes 2 and 3. Their dynamics differ there, and the model admits both successors:
+# The regions are closed, so on a boundary more than one mode is feasible. The state $x = (0, -7)$ lies in the regions
+# of modes 2 and 3. Their dynamics differ there, and the model admits both successors:
 
 # %% tags=["nbval-check-output"]
 on_boundary = (0, -7)
@@ -441,8 +441,8 @@ for r in (0.5, 2, 6, 10):
 
 # %% [markdown]
 # The MILP engine reaches the same verdict without cells, and it also works for more than two states. There is a third
-# verdict, *unknown*. If a solver is stopped early, its bound may be too weak for a proof although it has found no
-# counterexample.
+# verdict, *unknown*. If a solver is stopped early, its bound may be too weak for a proof, and it may have found no
+# counterexample either.
 
 # %% tags=["nbval-check-output"]
 for name, candidate in candidates.items():

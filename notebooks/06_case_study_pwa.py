@@ -233,7 +233,7 @@ plt.show()
 # %% [markdown]
 # **What to see.** Eight directions cut that corner off. The same loop is then proven safe for more than three times the
 # paper's disturbance. So a failure with one template does not mean that the loop is unsafe. Exercise 06 asks for the
-# largest disturbance, and for the template that tolerates it.
+# largest disturbance that boxes tolerate, and for a better template with only one additional row.
 
 # %% [markdown]
 # ## 3. From the safe set to a terminal set
