@@ -677,7 +677,10 @@ def _highest_in_state_set(X: Polytope, every: LoopCells, F: Polytope, rows: _Row
 
 
 def _successors_in(X: Polytope, points: Array, corners: Array, error: Array) -> tuple[LinearProgram, IntArray]:
-    """X & (hull of `points` + hull of `corners` + box of half-widths `error`) as a linear program; its columns of x+."""
+    """X & (hull of `points` + hull of `corners` + box of half-widths `error`) as a linear program; its columns of x+.
+
+    The states x+ are sums of convex combinations of the points and of the corners.
+    """
     lp, axes = LinearProgram(), np.eye(X.dimension)
     after = lp.add_columns(-X.bound(-axes), X.bound(axes))
     shares, weights = (lp.add_columns(np.zeros(len(ends)), np.ones(len(ends))) for ends in (points, corners))
