@@ -135,16 +135,18 @@ def safe_set(
                 if believed:
                     found = compare(loop, history[-1], V, history[-1].offsets(V), engine, tol)
                 if not found.holds.all():
-                    reason = f"R1(F{k}) lies in X, but not in F{k}: a bound of the engine {engine.name} was wrong"
+                    rests = found.found.rests_on
+                    reason = f"R1(F{k}) lies in X, but not in F{k}: a bound of {engine.name} was wrong ({rests})"
                     return SafeSet(None, k, history, Verdict.UNKNOWN, reason, None)
                 reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
                 return SafeSet(history[-1], k, history, Verdict.PROVEN, reason, None, found.settled)
             image = found.found
             smaller = np.minimum(cut_support(loop, history[-1], V, engine) if cut_first else found.bound, h)
             believed |= image.rests_on == SOLVER
-            following = Polytope(V, smaller)
+            following = None if (smaller == -np.inf).any() else Polytope(V, smaller)
+            empty = following is None or following.is_empty
             rests = (smaller >= h - (image.resolution if tol is None else tol)).all()
-            if rests or following.is_empty or k == max_iterations:
+            if following is None or rests or empty or k == max_iterations:
                 break
             h, history = smaller, [*history, following]
             bar.update()
@@ -160,7 +162,7 @@ def safe_set(
         verdict = Verdict.REFUTED if escape is not None and still else Verdict.UNKNOWN
         within = "" if still else f" to within {((h - smaller) * weights).max():.1g} of the size of X"
         reason = f"F{k + 1} = F{k}{within}, yet {leaves}"
-    elif following.is_empty:
+    elif empty:
         verdict, reason = Verdict.REFUTED, f"F{k + 1} is empty: {leaves}"
     else:
         verdict, reason = Verdict.UNKNOWN, f"max_iterations = {max_iterations} came first; {leaves}"
