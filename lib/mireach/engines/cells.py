@@ -661,7 +661,7 @@ def _highest_in_state_set(X: Polytope, every: LoopCells, F: Polytope, rows: _Row
         spread = np.array([(V @ corners.T).max(axis=1) for corners in every.corners])
         return part.largest(images @ V.T) + spread[mode] + every.error[index] @ np.abs(V).T
 
-    inside = (tops(X.H) <= X.h).all(axis=1)
+    inside = np.all(tops(X.H) <= X.h, axis=1)
     most = np.where(inside[:, None], tops(rows.V), np.minimum(tops(rows.V), X.bound(rows.V)))
     bound = most[inside].max(axis=0, initial=-inf)
     programs: dict[int, tuple[LinearProgram, IntArray]] = {}
