@@ -13,13 +13,17 @@ from ..engines.units import own_units
 from ..results import Result
 from ..sets.polytope import Polytope
 from ..sets.region import Region
+from ..sets.templates import directions
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike
 from .maximal_set import limit_within
 from .plane import per_axis
+from .reach import support
 from .safe_set import safe_set
 
-MAXIMAL_DOUBT = 0.5  # share of `accuracy` that the coarse slack of the search for "maximal" may cost
+MAXIMAL_DOUBT = 1 / 16  # share of `accuracy` that the coarser slack of the search for "maximal" may cost
+COVER = 16  # directions of the covers of R_k(X) for a disturbance that stays the same
+STEPS = 40  # the k of these covers
 SLACKS = 4  # slacks that D has to grow by for a certain *no*: 3 (see the notes), and one for rounding
 
 
@@ -116,7 +120,7 @@ def largest_disturbance(
     axis (in the units of the engine): let S be RPI for r + e, and let T be S less everything within 2 s of its
     complement. T is not empty, as S holds a translate of D for r + e. States within s of T lie in S, and what D for r,
     widened by s, makes of them lies in T. So the iteration for r never removes T. Each iteration starts from the set
-    for a smaller r, which holds the set for r.
+    for a smaller r, which holds the set for r. It ends early where it misses a set that every RPI set meets.
     """
     require_kind(loop, ClosedLoop, "loop")
     accuracy = positive_number(accuracy, "accuracy")
@@ -179,6 +183,27 @@ class _ShrinkingSets:
 
     def has_set(self, loop: ClosedLoop) -> bool:
         """Whether the loop has a maximal set; its D has to hold every D for which one was found before."""
-        found = limit_within(loop, 0.0 if self.last is None else self.slack, self.last)
+        met = _sets_that_are_met(loop)
+        if met is None:
+            return False
+        found = limit_within(loop, 0.0 if self.last is None else self.slack, self.last, met)
         self.last = found or self.last
         return found is not None
+
+
+def _sets_that_are_met(loop: ClosedLoop) -> list[Polytope] | None:
+    """Sets that every RPI set meets; None if there is no RPI set, for every state of X is driven out of it.
+
+    If d stays at one corner of D, a trajectory from an RPI set stays in it, and is in a cover of R_k(X) after k steps.
+    """
+    (D,) = {mode.disturbance for mode in loop.system.modes}
+    C, met = directions(COVER), []
+    for d in D.vertices():
+        held, F = loop.with_disturbance(Polytope.box(d, d)), loop.system.state_set
+        for _ in range(STEPS):
+            bound = support(held, F, C).bound
+            if not np.isfinite(bound).all():
+                return None
+            F = Polytope(C, bound)
+        met.append(F & loop.system.state_set)
+    return None if any(F.is_empty for F in met) else met

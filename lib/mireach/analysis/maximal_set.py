@@ -7,6 +7,7 @@ of a cell is a union of convex polygons.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -20,7 +21,7 @@ from ..engines import exact
 from ..engines.base import EXACT, Escape
 from ..errors import RegionError
 from ..results import Result, Verdict
-from ..sets.geos import Shape, hulls, overlay
+from ..sets.geos import Shape, Shapes, hulls, overlay
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.region import Region
@@ -35,6 +36,7 @@ MOST_LOST = 10_000  # the same where nothing has to be proven afterwards
 COARSER = 4  # powers of 10 by which the slack may grow
 STEEP = 0.2  # rows of a region that change with x more slowly than this (relative to their length) are not located well
 ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
+NO_SHAPES: Shapes = np.zeros(0, object)
 FLOATS = "floating point"  # what an answer rests on that `slack` protects from rounding, but no proof
 
 
@@ -217,7 +219,9 @@ def _outer(plane: PlanarLoop, slack: float, max_iterations: int) -> Region:
     return Region.of(plane.state_set) if _mode_in_doubt(plane) else outer
 
 
-def limit_within(loop: ClosedLoop, slack: float, start: Region | None = None) -> Region | None:
+def limit_within(
+    loop: ClosedLoop, slack: float, start: Region | None = None, met: Sequence[Polytope] = ()
+) -> Region | None:
     """The last set of the iteration of `maximal_safe_set` if it starts from a set within X; in the loop's own units.
 
     Parameters
@@ -227,11 +231,13 @@ def limit_within(loop: ClosedLoop, slack: float, start: Region | None = None) ->
         Half-width of a box in own units; the default of `maximal_safe_set` where that is larger.
     start : Region or None
         In own units; None is X.
+    met : sequence of Polytope
+        Sets in the units of the user that every RPI set meets.
 
     Returns
     -------
     Region or None
-        None if nothing is left, or the iteration does not end.
+        None if nothing is left, or less than meets all of `met`, or the iteration does not end.
 
     Raises
     ------
@@ -239,7 +245,8 @@ def limit_within(loop: ClosedLoop, slack: float, start: Region | None = None) ->
         If the loop has not two states, or Phi leaves U.
     """
     plane = PlanarLoop.of(loop)
-    history, unfinished = _shrink(plane, max(slack, SLACK * plane.size), MOST_ITERATIONS, MOST_LOST, start)
+    own = hulls(Polygons.of([plane.units.polytope(F).vertices() for F in met]))
+    history, unfinished = _shrink(plane, max(slack, SLACK * plane.size), MOST_ITERATIONS, MOST_LOST, start, own)
     return None if unfinished or history[-1].is_empty else history[-1]
 
 
@@ -399,21 +406,30 @@ def _shrink(
     max_iterations: int,
     most_triangles: int = MOST_TRIANGLES,
     start: Region | None = None,
+    met: Shapes = NO_SHAPES,
 ) -> tuple[list[Region], str]:
     """S_0 = `start` or X, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
+
+    A set that does not meet all of `met`, which every RPI set meets, is replaced by the empty one.
 
     `slack` (own units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
     negative for a set around it: only what is lost by more than that counts as lost. At 0 there is no margin.
     """
     history = [Region.of(_inset(plane.state_set, max(slack, 0.0))) if start is None else start]
     try:
-        return history, _shrunk(plane, slack, max_iterations, most_triangles, history, start is not None)
+        return history, _shrunk(plane, slack, max_iterations, most_triangles, history, start is not None, met)
     except GEOSException as error:  # what was found before is found all the same
         return history, f"GEOS fails on S_{len(history)} ({error})"
 
 
 def _shrunk(
-    plane: PlanarLoop, slack: float, max_iterations: int, most_triangles: int, history: list[Region], smaller: bool
+    plane: PlanarLoop,
+    slack: float,
+    max_iterations: int,
+    most_triangles: int,
+    history: list[Region],
+    smaller: bool,
+    met: Shapes,
 ) -> str:
     """Append S_1, S_2, ... to [S_0]; why the last of them is not the end of the sequence ("" if it is).
 
@@ -432,6 +448,8 @@ def _shrunk(
             if fresh.area:
                 history.append(following)
             return ""
+        if not shapely.intersects(following.shape, met).all():
+            following = Region(shapely.Polygon())
         history.append(following)
         if following.is_empty:
             return ""
