@@ -8,6 +8,7 @@ from loops import affine_loop, random_loop
 from regions import in_other_units, powers
 
 import mireach as mr
+from mireach.analysis.disturbance import sets_that_are_met
 from mireach.analysis.maximal_set import limit_within
 
 
@@ -67,3 +68,27 @@ def test_each_search_starts_within_the_last_set():
     assert limit_within(loop, 0.0, start).equals(start, tol=1e-6)
     assert limit_within(loop, 0.0, mr.Region.of(mr.Polytope.box([-0.5, -0.39], [0.5, 0.75]))) is None
     assert limit_within(loop, 0.01, start) is not None and limit_within(loop, 0.03, start) is None
+
+
+@pytest.mark.parametrize("seed", [0, 1, 4])
+def test_rpi_sets_meet_what_they_are_said_to_meet(seed):
+    loop = random_loop(seed).with_disturbance(mr.Polytope.box([-0.05, -0.05], [0.05, 0.05]))
+    maximal, met = mr.maximal_safe_set(loop, prove=False), sets_that_are_met(loop)
+    assert met is not None and len(met) == 4 and maximal.set is not None
+    for F in met:
+        assert not (maximal.set & F).is_empty
+
+
+def test_what_every_rpi_set_meets_of_a_linear_loop_are_its_fixed_points():
+    D = mr.Polytope.box([-0.2, -0.2], [0.2, 0.2])
+    loop = affine_loop(0.5 * np.eye(2)).with_disturbance(D)  # x = 2 d
+    met = sets_that_are_met(loop)
+    np.testing.assert_allclose([F.vertices().mean(axis=0) for F in met], 2 * D.vertices(), atol=1e-6)
+    assert limit_within(loop, 0.0, None, met) is not None
+    assert sets_that_are_met(loop.with_disturbance(mr.Polytope.box([-0.6, -0.2], [0.6, 0.2]))) is None
+
+
+def test_a_search_ends_where_it_misses_what_every_rpi_set_meets():
+    loop = affine_loop([[0, 1.5], [0.5, 0]])  # the maximal set is |x1| <= 1, |x2| <= 2/3
+    assert limit_within(loop, 0.0) is not None
+    assert limit_within(loop, 0.0, None, [mr.Polytope.box([0, 0.7], [1, 1])]) is None

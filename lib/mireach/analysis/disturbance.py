@@ -9,7 +9,6 @@ import numpy as np
 
 from ..checks import positive_number, require_kind
 from ..engines.inputs import require_inputs
-from ..engines.units import own_units
 from ..results import Result
 from ..sets.polytope import Polytope
 from ..sets.region import Region
@@ -17,7 +16,7 @@ from ..sets.templates import directions
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike
 from .maximal_set import limit_within
-from .plane import per_axis
+from .plane import PlanarLoop, per_axis
 from .reach import support
 from .safe_set import safe_set
 
@@ -159,7 +158,7 @@ def _method(
         return method, 0.0
     require_kind(method, str, "method")
     if method == "maximal":
-        half_width = float((least / own_units(loop).state).min())
+        half_width = float((least / PlanarLoop.of(loop).units.state).min())
         return _ShrinkingSets(MAXIMAL_DOUBT * half_width / SLACKS).has_set, MAXIMAL_DOUBT
     if method == "template":
         return lambda loop: safe_set(loop, C).set is not None, 0.0
@@ -183,18 +182,24 @@ class _ShrinkingSets:
 
     def has_set(self, loop: ClosedLoop) -> bool:
         """Whether the loop has a maximal set; its D has to hold every D for which one was found before."""
-        met = _sets_that_are_met(loop)
+        met = sets_that_are_met(loop)
         if met is None:
             return False
         found = limit_within(loop, 0.0 if self.last is None else self.slack, self.last, met)
-        self.last = found or self.last
+        if found is not None:
+            self.last = found
         return found is not None
 
 
-def _sets_that_are_met(loop: ClosedLoop) -> list[Polytope] | None:
-    """Sets that every RPI set meets; None if there is no RPI set, for every state of X is driven out of it.
+def sets_that_are_met(loop: ClosedLoop) -> list[Polytope] | None:
+    """Sets that every RPI set meets; None if there is no RPI set, since some d drives every state of X out of it.
 
     If d stays at one corner of D, a trajectory from an RPI set stays in it, and is in a cover of R_k(X) after k steps.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        With two states and the same D in all modes.
     """
     (D,) = {mode.disturbance for mode in loop.system.modes}
     C, met = directions(COVER), []
