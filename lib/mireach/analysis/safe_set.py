@@ -140,8 +140,9 @@ def safe_set(
                     return SafeSet(None, k, history, Verdict.UNKNOWN, reason, None)
                 reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
                 return SafeSet(history[-1], k, history, Verdict.PROVEN, reason, None, found.settled)
-            image = found.found
-            smaller = np.minimum(cut_support(loop, history[-1], V, engine) if cut_first else found.bound, h)
+            image, smaller = found.found, np.minimum(found.bound, h)
+            if cut_first:
+                smaller = np.minimum(cut_support(loop, history[-1], V, engine), h)
             believed |= image.rests_on == SOLVER
             following = None if (smaller == -np.inf).any() else Polytope(V, smaller)
             empty = following is None or following.is_empty

@@ -318,7 +318,18 @@ class Cells(Engine):
         return CellSupport(found.value, found.bound, witness, F, every.cells, left)
 
     def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
-        """As `Engine.cut_support`, for two states.
+        """Upper bounds of the support function of R_1(F) & X, as `Engine.cut_support`, for two states.
+
+        Parameters
+        ----------
+        loop : ClosedLoop
+        F : Polytope
+        V : array (k, 2)
+
+        Returns
+        -------
+        array (k,)
+            Rounded up as `support` does.
 
         Raises
         ------
