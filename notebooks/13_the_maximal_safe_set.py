@@ -260,8 +260,9 @@ plt.show()
 # | double_integrator (0.1186) | 0.1779 | 0.8793 | 31.9 of 144 |
 #
 # The existence of the maximal set is monotone: a set that is RPI for $\mathcal{D}$ is RPI for every smaller disturbance
-# set. The same holds for $\mathcal{F}_{\max}$ with a fixed template: a smaller disturbance set makes every
-# $\mathcal{F}_k$ and its image smaller.
+# set. The existence of $\mathcal{F}_{\max}$ for a fixed template is monotone as well: by induction over $k$, every
+# $\mathcal{F}_k$ grows with $\mathcal{D}$, so $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{X}$ carries over to
+# every smaller $\mathcal{D}$. Bisection is therefore exact for both.
 
 # %% tags=["nbval-check-output"]
 found = mr.largest_disturbance(loop, "template", C=cases["double_integrator"].safe_directions)

@@ -7,6 +7,7 @@ state, and the lost part of a cell is a union of convex polygons.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -20,7 +21,7 @@ from ..engines import exact
 from ..engines.base import EXACT, Escape
 from ..errors import RegionError
 from ..results import Result, Verdict
-from ..sets.geos import Shape, hulls, overlay
+from ..sets.geos import Shape, Shapes, hulls, overlay
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.region import Region
@@ -35,6 +36,7 @@ MOST_LOST = 10_000  # the same for sets that are not proven afterwards
 COARSER = 4  # powers of 10 by which the slack may grow
 STEEP = 0.2  # rows of a region that change with x more slowly than this (relative to their length) are inaccurate
 ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
+NO_SHAPES: Shapes = np.zeros(0, object)
 FLOATS = "floating point"  # what a result rests on that `slack` protects from rounding errors, but that is not proven
 
 
@@ -217,8 +219,25 @@ def _outer(plane: PlanarLoop, slack: float, max_iterations: int) -> Region:
     return Region.of(plane.state_set) if _mode_in_doubt(plane) else outer
 
 
-def has_maximal_set(loop: ClosedLoop) -> bool:
-    """Whether the iteration of `maximal_safe_set` ends with a nonempty set, with the default slack.
+def limit_within(
+    loop: ClosedLoop, slack: float, start: Region | None = None, met: Sequence[Polytope] = ()
+) -> Region | None:
+    """The last set of the iteration of `maximal_safe_set` if it starts from a set within X; in the loop's own units.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    slack : float
+        Half-width of a box in own units; the default of `maximal_safe_set` where that is larger.
+    start : Region or None
+        In own units; None is X.
+    met : sequence of Polytope
+        Sets in the units of the user that every RPI set meets.
+
+    Returns
+    -------
+    Region or None
+        None if nothing is left, or less than meets all of `met`, or the iteration does not end.
 
     Raises
     ------
@@ -226,8 +245,9 @@ def has_maximal_set(loop: ClosedLoop) -> bool:
         If the loop has not two states, or Phi leaves U.
     """
     plane = PlanarLoop.of(loop)
-    history, unfinished = _shrink(plane, SLACK * plane.size, MOST_ITERATIONS, MOST_LOST)
-    return not unfinished and not history[-1].is_empty
+    own = hulls(Polygons.of([plane.units.polytope(F).vertices() for F in met]))
+    history, unfinished = _shrink(plane, max(slack, SLACK * plane.size), MOST_ITERATIONS, MOST_LOST, start, own)
+    return None if unfinished or history[-1].is_empty else history[-1]
 
 
 def carried_out(loop: ClosedLoop, S: Region | Polytope) -> Region:
@@ -273,7 +293,7 @@ def carried_out(loop: ClosedLoop, S: Region | Polytope) -> Region:
     lost = []
     try:
         start = plane.start(S)
-        targets = Region(_with_area((X - start).shape)).simplices.points.reshape(-1, 3, 2)
+        targets = _triangles(X - start)
         for D, own in plane.disturbances:
             chosen = np.flatnonzero(own)
             lost += [_lost_outside(plane, chosen, D, 0.0), _lost_into(plane, chosen, D, targets, 0.0)]
@@ -380,25 +400,46 @@ def _mode_in_doubt(plane: PlanarLoop) -> bool:
 
 
 def _shrink(
-    plane: PlanarLoop, slack: float, max_iterations: int, most_triangles: int = MOST_TRIANGLES
+    plane: PlanarLoop,
+    slack: float,
+    max_iterations: int,
+    most_triangles: int = MOST_TRIANGLES,
+    start: Region | None = None,
+    met: Shapes = NO_SHAPES,
 ) -> tuple[list[Region], str]:
-    """S_0, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
+    """S_0 = `start` or X, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
+
+    A set that does not meet all of `met`, which every RPI set meets, is replaced by the empty one.
 
     `slack` (own units of x) is positive for an inner approximation of the maximal set: D and the lost sets are enlarged
     by it. It is negative for an outer approximation: a state counts as lost only if it is lost by more than the slack.
     With 0 there is no margin.
     """
-    history = [Region.of(_inset(plane.state_set, max(slack, 0.0)))]
+    history = [Region.of(_inset(plane.state_set, max(slack, 0.0))) if start is None else start]
     try:
-        return history, _shrunk(plane, slack, max_iterations, most_triangles, history)
+        return history, _shrunk(plane, slack, max_iterations, most_triangles, history, start is not None, met)
     except GEOSException as error:  # the sets found before remain valid
         return history, f"GEOS fails on S_{len(history)} ({error})"
 
 
-def _shrunk(plane: PlanarLoop, slack: float, max_iterations: int, most_triangles: int, history: list[Region]) -> str:
-    """Append S_1, S_2, ... to [S_0]; why the last of them is not the end of the sequence ("" if it is)."""
+def _shrunk(
+    plane: PlanarLoop,
+    slack: float,
+    max_iterations: int,
+    most_triangles: int,
+    history: list[Region],
+    smaller: bool,
+    met: Shapes,
+) -> str:
+    """Append S_1, S_2, ... to [S_0]; why the last of them is not the end of the sequence ("" if it is).
+
+    `smaller` says that S_0 is not all of X, so that what is carried into the rest of X is lost as well.
+    """
     lost = [_lost_outside(plane, np.flatnonzero(own), D, slack) for D, own in plane.disturbances]
     S, box = history[0], plane.state_set.bounding_box()
+    if smaller:
+        rest = _triangles(Region.of(plane.state_set) - S)
+        lost += [_lost_into(plane, np.flatnonzero(own), D, rest, slack) for D, own in plane.disturbances]
     for _ in range(max_iterations):
         gone = _union(lost, S, slack)
         following = Region(_within(_with_area(overlay(shapely.difference, S.shape, gone)), *box))
@@ -407,14 +448,16 @@ def _shrunk(plane: PlanarLoop, slack: float, max_iterations: int, most_triangles
             if fresh.area:
                 history.append(following)
             return ""
+        if not shapely.intersects(following.shape, met).all():
+            following = Region(shapely.Polygon())
         history.append(following)
         if following.is_empty:
             return ""
-        if len(following.simplices) > most_triangles:
+        if _triangle_count(following.shape) > most_triangles:
             return f"S_{len(history) - 1} has more than {most_triangles} triangles"
         if slack < 0:
             fresh = S.sum(square(-slack)) - following.sum(square(-slack))
-        targets = Region(_with_area(fresh.shape)).simplices.points.reshape(-1, 3, 2)
+        targets = _triangles(fresh)
         shapely.prepare(following.shape)
         alive = shapely.dwithin(following.shape, plane.shapes, abs(slack))
         lost = [
@@ -492,6 +535,19 @@ def _with_area(shape: Shape) -> Shape:
     """The part of a shapely geometry that has an area."""
     parts = shapely.get_parts(shapely.get_parts(shape))
     return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
+
+
+def _triangles(R: Region) -> Array:
+    """The triangles (T, 3, 2) of the part of a region that has an area."""
+    return Region(_with_area(R.shape)).simplices.points.reshape(-1, 3, 2)
+
+
+def _triangle_count(shape: Shape) -> int:
+    """The number of triangles that the polygons of a shapely geometry fall into: corners - 2 + 2 holes for each."""
+    parts = shapely.get_parts(shape)
+    holes = shapely.get_num_interior_rings(parts).sum()
+    corners = shapely.get_num_coordinates(parts).sum() - len(parts) - holes  # each ring names one of them twice
+    return int(corners - 2 * len(parts) + 2 * holes)
 
 
 def _within(shape: Shape, lower: Array, upper: Array) -> Shape:

@@ -13,7 +13,7 @@ from ..engines.units import own_units
 from ..errors import SolverStopped
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from ..typing import ArrayLike
+from ..typing import Array, ArrayLike
 
 LEAST_TIME = 1e-3  # seconds for an engine if the check of the inputs took all of its time
 
@@ -97,6 +97,49 @@ def support(
     except SolverStopped as stop:
         raise units.stopped(stop, factor, engine.resolution, query) from stop
     return units.support(found, factor, engine.resolution, query)
+
+
+def cut_support(loop: ClosedLoop, F: Polytope, V: ArrayLike, engine: Engine | str | None = None) -> Array:
+    """Upper bounds of the support function of R_1(F) & X along the rows of V.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+    V : array (k, n)
+        Directions, one per row.
+    engine : Engine, str or None
+        As in `support`; one that has `Engine.cut_support`.
+
+    Returns
+    -------
+    array (k,)
+        -inf where no state of F has a successor in X.
+
+    Raises
+    ------
+    ValueError
+        If the engine has no such bounds, sizes do not match, or Phi leaves U.
+
+    See Also
+    --------
+    support : of all of R_1(F), with witnesses.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> loop = mr.case_study("pwa").loop  # X is the box |x|_inf <= 10
+    >>> V = mr.directions(8)
+    >>> whole, cut = mr.support(loop, loop.system.state_set, V).bound, cut_support(loop, loop.system.state_set, V)
+    >>> bool((cut <= whole + 1e-9).all()), bool((cut < whole - 0.1).any())
+    (True, True)
+    """
+    engine = engine_for(loop, engine)
+    V, _ = checked_query(loop, F, V, 1)
+    units = own_units(loop)
+    rows, factor = units.rows(V)
+    require_inputs(loop, engine.time_limit)
+    return engine.cut_support(units.loop, units.polytope(F), rows) / factor
 
 
 def _require_warm_start(warm_start: Support, query: Query) -> None:

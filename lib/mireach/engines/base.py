@@ -266,6 +266,33 @@ class Engine(ABC):
             If `time_limit` was reached first; its `support` holds the bounds so far.
         """
 
+    def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
+        """Upper bounds of the support function of R_1(F) & X along the rows of V. An engine may lack this method.
+
+        Parameters
+        ----------
+        loop : ClosedLoop
+        F : Polytope
+        V : array (k, n)
+            All three as in `support`.
+
+        Returns
+        -------
+        array (k,)
+            -inf where no state of F has a successor in X.
+
+        Raises
+        ------
+        ValueError
+            If the engine has no such bounds.
+        """
+        raise ValueError(f'the engine "{self.name}" has no bounds of R_1(F) & X (cut_support); use engine="cells"')
+
+    @property
+    def cuts(self) -> bool:
+        """Whether the engine has `cut_support`."""
+        return type(self).cut_support is not Engine.cut_support
+
 
 class LazySequence(Sequence[T], Generic[T]):
     """A sequence whose entry i is make(i), computed when it is first read; pickled it is a tuple."""

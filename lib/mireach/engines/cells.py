@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from ..errors import SolverError
 from ..sets.kernels import affine_pieces, highest, parts, sharp_pairs
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
@@ -316,6 +317,28 @@ class Cells(Engine):
         if steps > 1:
             return found
         return CellSupport(found.value, found.bound, witness, F, every.cells, left)
+
+    def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
+        """Upper bounds of the support function of R_1(F) & X, as `Engine.cut_support`, for two states.
+
+        Parameters
+        ----------
+        loop : ClosedLoop
+        F : Polytope
+        V : array (k, 2)
+
+        Returns
+        -------
+        array (k,)
+            Rounded up as `support` does.
+
+        Raises
+        ------
+        ValueError
+            If the loop does not have two states.
+        """
+        every = dynamics(loop)
+        return _highest_in_state_set(loop.system.state_set, every, F, _rows(loop, every, V.shape, V.tobytes()))
 
 
 # -- building the cells -------------------------------------------------------------------------------
@@ -630,3 +653,59 @@ def _longer_witness(
     best = lp.maximize(states[-1], v).point
     assert best is not None  # the trajectory that attains the value is feasible
     return replay(loop, best[states[0]], modes, [best[d] for d in disturbances])
+
+
+# -- successors within X ------------------------------------------------------------------------------
+
+
+def _highest_in_state_set(X: Polytope, every: LoopCells, F: Polytope, rows: _Rows) -> Array:
+    """Upper bounds (k,) of v x+ over the successors x+ of states of F that lie in X; rounding is counted.
+
+    The successors from a part of a cell lie in the hull of M x + c at its corners, plus D, plus a box of the error.
+    Where this set lies in X its own maximum counts, else a linear program bounds it (`_successors_in`). One is
+    solved only for a part that may pass what the others attain.
+    """
+    part, index = every.cells.restrict(F)
+    images = every.images(part.points, index[part.owner])
+    mode = every.cells.mode[index]
+
+    def tops(V: Array) -> Array:
+        spread = np.array([(V @ corners.T).max(axis=1) for corners in every.corners])
+        return part.largest(images @ V.T) + spread[mode] + every.error[index] @ np.abs(V).T
+
+    inside = np.all(tops(X.H) <= X.h, axis=1)
+    most = np.where(inside[:, None], tops(rows.V), np.minimum(tops(rows.V), X.bound(rows.V)))
+    bound = most[inside].max(axis=0, initial=-inf)
+    programs: dict[int, tuple[LinearProgram, IntArray]] = {}
+    for k, v in enumerate(rows.V):
+        for i in np.argsort(-most[:, k], kind="stable").tolist():
+            if most[i, k] <= bound[k]:
+                break
+            if i not in programs:
+                points, j = images[part.starts[i] : part.starts[i + 1]], index[i]
+                programs[i] = _successors_in(X, points, every.corners[mode[i]], every.error[j])
+            bound[k] = max(bound[k], min(most[i, k], _proven_maximum(*programs[i], v)))
+    return np.ceil(bound / rows.unit + 0.05) * rows.unit
+
+
+def _successors_in(X: Polytope, points: Array, corners: Array, error: Array) -> tuple[LinearProgram, IntArray]:
+    """X & (hull of `points` + hull of `corners` + box of half-widths `error`) as a linear program; its columns of x+.
+
+    The states x+ are sums of convex combinations of the points and of the corners.
+    """
+    lp, axes = LinearProgram(), np.eye(X.dimension)
+    after = lp.add_columns(-X.bound(-axes), X.bound(axes))
+    shares, weights = (lp.add_columns(np.zeros(len(ends)), np.ones(len(ends))) for ends in (points, corners))
+    lp.add_rows(after, X.H, upper=X.h)
+    lp.add_row(shares, np.ones(len(shares)), 1.0, 1.0)
+    lp.add_row(weights, np.ones(len(weights)), 1.0, 1.0)
+    lp.add_rows(np.concatenate([after, shares, weights]), np.hstack([axes, -points.T, -corners.T]), -error, error)
+    return lp, after
+
+
+def _proven_maximum(lp: LinearProgram, columns: IntArray, v: Array) -> float:
+    """An upper bound of v x[columns] by weak duality; inf where HiGHS gives no multipliers."""
+    try:
+        return lp.bound(columns, v)
+    except SolverError:  # flat sets can leave a solver undecided
+        return inf
