@@ -25,7 +25,7 @@ import mireach as mr
 from mireach import case_studies
 from mireach.analysis import maximal_set
 from mireach.analysis.plane import PlanarLoop
-from mireach.engines import cells, exact
+from mireach.engines import cells, exact_cells
 from mireach.engines.exact import Exact
 
 PARTS = ("rooms", "peers", "wide", "growth", "dimensions")
@@ -109,8 +109,7 @@ def for_region(name, case):
             "ms",
             20,
         )
-    exact_cells = exact.cells.__wrapped__  # without its cache
-    row(f"{name}: exact cells", lambda: exact_cells(case.loop), 1, "s", 3)
+    row(f"{name}: exact cells", lambda: exact_cells.cells(fresh(case)), 1, "s", 3)
     X, C = case.system.state_set, case.directions
     row(f"{name}: one step, 8 directions over X, exact", lambda: Exact().support(case.loop, X, C), 1e3, "ms", 10)
     safe, terminal = sets_of(case)

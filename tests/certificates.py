@@ -21,7 +21,7 @@ from loops import enclosing_inputs, exact_input, random_loop
 
 import mireach as mr
 from mireach.certificate import checker, make
-from mireach.engines import exact
+from mireach.engines import exact_cells
 
 SAMPLES = 3  # corners, and random states, that are replayed for one image
 SMALLEST, LARGEST = Fraction("1e-300"), 10**15  # beyond these the engines' floats are of no use: fractions alone judge
@@ -652,7 +652,7 @@ class Oracle:
         F = shapely.MultiPoint(floats(self._corners(k))).convex_hull
         cells = [
             shapely.MultiPoint([[float(Fraction(int(e.p), int(e.q))) for e in x] for x in cell.corners]).convex_hull
-            for cell in exact.cells(self.loop)
+            for cell in exact_cells.cells(self.loop)
         ]
         return F.difference(shapely.union_all([cell.buffer(ERROR) for cell in cells])).is_empty
 

@@ -198,7 +198,7 @@ def wrong_verdicts(seed, time_limit=0.5):
     """What is wrong with the answers about one badly conditioned loop: list of str, and a Counter of the questions.
 
     No bound lies below what a step attains in fractions; "proven" is not left by such a step (by more than 1e-6 of the
-    size of X for three states), and "refuted" comes with a step that replays in fractions.
+    size of X where the proof says so), and "refuted" comes with a step that replays in fractions.
     """
     rng, loop = hard_loop(seed)
     n, found, asked, X = loop.system.state_size, [], Counter(), loop.system.state_set
@@ -208,7 +208,7 @@ def wrong_verdicts(seed, time_limit=0.5):
     for number, F in enumerate(hard_sets(loop, rng)):
         truth, where = exact_highest(loop, F, V), f"seed {seed}, set {number}"
         asked["supports in fractions"] += sum(value is not None for value in truth)
-        engines = [Cells(), Exact()] if n == 2 else []
+        engines = [Cells(), Exact()] if n == 2 else [Exact()]
         engines += [Milp(**options, time_limit=time_limit)] if number in chosen else []
         for engine in engines:
             asked[f"bounds by {engine.name}"] += len(V)
@@ -246,7 +246,7 @@ def _wrong_check(loop, F, size, asked, time_limit):
     if check.verdict == "refuted":
         return [] if replays(loop, F, check.escape) else ["refuted by a step that does not replay"]
     if check.verdict == "proven":
-        slack = 0.0 if loop.system.state_size == 2 else 1e-6 * np.abs(F.H) @ size
+        slack = 1e-6 * np.abs(F.H) @ size if "to within" in check.settled else 0.0
         for value, limit in zip(exact_highest(loop, F, F.H), (F.h + slack).tolist()):
             if value is not None and value > Fraction(limit):
                 return [f"proven, but a step passes {limit!r} by {float(value - Fraction(limit)):.3g}"]

@@ -9,7 +9,9 @@ from regions import draw, square
 
 import mireach as mr
 from mireach.analysis import exact_reach
-from mireach.engines import exact
+from mireach.arithmetic.rational import nearest
+from mireach.engines import exact_cells
+from mireach.engines.exact_cells import rows_of
 from mireach.engines.units import own_units
 from mireach.systems.network import MaxoutNetwork
 
@@ -151,9 +153,9 @@ def test_sets_of_the_attractor_hold_the_exact_images_of_exact_cells():
     units = own_units(loop)
     assert np.array_equal(units.state, [1, 1])
     first = found.history[1]
-    for cell in exact.cells(units.loop):
-        part = exact._clip_all(cell.corners, exact.half_planes(square(0.5)))
-        images = [[exact.nearest(entry) for entry in cell.image(x)] for x in part]
+    for cell in exact_cells.cells(units.loop):
+        part = cell.part.clip_all(rows_of(square(0.5)))
+        images = [[nearest(entry) for entry in cell.image(x)] for x in part.vertices]
         assert not images or first.contains(np.array(images)).all()
 
 

@@ -119,6 +119,7 @@ def answering(monkeypatch, bound, value, resolution=0.0):
 def test_bounds_decide_a_proof_and_steps_a_refutation(monkeypatch, bound, value, verdict, settled):
     loop, F = contraction(n=3, p=np.zeros(3)), Polytope.box([-0.5] * 3, [0.5] * 3)
     answering(monkeypatch, bound, value, 1e-6)
+    monkeypatch.setattr("mireach.analysis.comparison.FEW_CELLS", 0)
     check = check_rpi(loop, F, "milp")
     assert (check.verdict, check.settled) == (verdict, settled)
 
@@ -614,3 +615,12 @@ def test_contraction_is_nan_about_a_centre_outside():
 def test_safe_set_names_a_wrong_limit(wrong):
     with pytest.raises(ValueError, match="max_iterations must be a whole number"):
         mr.safe_set(mr.case_study("pwa").loop, max_iterations=wrong)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_a_set_that_fits_without_any_margin_is_proven_and_one_rounding_more_is_refuted(n):
+    F = Polytope.box(-np.ones(n), np.ones(n))
+    fits = check_rpi(affine_loop(np.eye(n), limits=2.0), F)
+    assert fits.verdict == "proven" and (fits.margin >= 0).all() and "to within" not in fits.settled
+    leaves = check_rpi(affine_loop((1 + 2.0**-52) * np.eye(n), limits=2.0), F)
+    assert leaves.verdict == "refuted" and max(map(abs, leaves.escape.after)) == 1 + Fraction(2) ** -52

@@ -12,7 +12,7 @@ import mireach as mr
 from mireach.analysis import maximal_set
 from mireach.analysis.maximal_set import carried_out
 from mireach.analysis.plane import PlanarLoop
-from mireach.engines import exact
+from mireach.engines import exact_plane
 from mireach.systems.network import MaxoutNetwork
 
 QUICK = (0, 1, 4, 6)  # seeds of random loops that have a maximal set with few corners
@@ -383,7 +383,7 @@ def test_a_proof_needs_a_set():
 
 
 def test_a_proof_that_grows_too_large_is_given_up(monkeypatch):
-    monkeypatch.setattr(exact, "MOST_PARTS", 0)
+    monkeypatch.setattr(exact_plane, "MOST_PARTS", 0)
     frame = mr.Region.of(square(1)) - square(0.5)
     check = mr.prove_rpi(affine_loop(0.5 * np.eye(2)), frame)
     assert check.verdict == "unknown" and "parts" in check.reason and check.witness is None

@@ -1,30 +1,23 @@
-"""Exact cells: against brute force and replays in the standard library's fractions, and sets that fit by a hair."""
+"""The exact engine: against brute force and fractions of the standard library, for two states and more."""
 
+from copy import copy
 from fractions import Fraction
+from operator import mul
 
 import numpy as np
 import pytest
-import shapely
-from loops import affine_loop, assert_escapes, brute_support, exact_input, exactly_inside, jump_loop, random_loop
+from loops import affine_loop, brute_support, exact_highest, exact_input, exactly_inside, random_loop
 
 import mireach as mr
-from mireach.arithmetic.rational import binary
-from mireach.engines import exact, steps
+from mireach.arithmetic.rational import fractions
+from mireach.engines import exact
 from mireach.engines.cells import Cells
 
 SHRUNK = 0.7  # F of the random questions, as a share of X
 
 
-def as_fraction(value):
-    return Fraction(int(value.p), int(value.q))
-
-
 def square(r):
     return mr.Polytope.box([-r, -r], [r, r])
-
-
-def corners(*boxes):
-    return [mr.Polytope.box(*box).vertices() for box in boxes]
 
 
 @pytest.mark.parametrize("with_input", [False, True])
@@ -36,93 +29,6 @@ def test_support_agrees_with_brute_force_and_lies_below_the_bound_of_the_float_c
     np.testing.assert_allclose(found.value, brute_support(loop, F, V), atol=1e-7)
     assert (found.bound >= found.value).all() and (found.bound <= np.nextafter(found.value, np.inf)).all()
     assert (Cells().support(loop, F, V).bound >= found.bound).all()
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_cells_hold_every_state_with_the_step_that_fractions_give(seed):
-    loop, rng = random_loop(seed, with_input=seed % 2 == 1, saturated=True), np.random.default_rng(seed)
-    X, found = loop.system.state_set, exact.cells(loop)
-    for x in X.scale(0.9).sample(rng, 30).tolist():
-        point, u = [Fraction(value) for value in x], exact_input(loop.network, x)
-        for number, mode in enumerate(loop.system.modes):
-            inside = exactly_inside(mode.region, [*point, *u])
-            holding = [cell for cell in found if cell.mode == number and holds(cell, point)]
-            assert bool(holding) == inside
-            for cell in holding:
-                after = steps.successor(loop, point, number, (0, 0))
-                assert tuple(as_fraction(value) for value in cell.image(binary(x))) == after
-
-
-def holds(cell, x):
-    """Whether a rational point is in the closed polygon of a cell."""
-    points = [[as_fraction(value) for value in corner] for corner in cell.corners]
-    turns = [
-        (q[0] - p[0]) * (x[1] - p[1]) - (q[1] - p[1]) * (x[0] - p[0]) for p, q in zip(points, points[1:] + points[:1])
-    ]
-    return len(points) > 2 and (min(turns) >= 0 or max(turns) <= 0)
-
-
-def test_every_number_is_the_float_that_it_is():
-    loop = affine_loop(0.1 * np.eye(2), square(0.1), limits=0.3)
-    expected = Fraction(0.1) + Fraction(1, 10), 2 * Fraction(0.1)
-    assert steps.successor(loop, (1, 2), 0, (Fraction(1, 10), 0)) == expected
-
-
-def test_a_set_that_fits_without_any_margin_is_proven_and_one_ulp_more_is_refuted():
-    X = corners(([-1, -1], [1, 1]))
-    assert exact.first_escape(affine_loop(0.5 * np.eye(2), square(0.5)), X) is None
-    escape = exact.first_escape(affine_loop(0.5 * np.eye(2), square(np.nextafter(0.5, 1))), X)
-    assert max(abs(value) for value in escape.after) > 1 and "->" in str(escape)
-
-
-def test_a_state_outside_of_x_is_a_witness_by_itself():
-    escape = exact.first_escape(affine_loop(0.5 * np.eye(2)), corners(([-1, -1], [1, 1.5])))
-    assert escape.after is None and escape.state[1] == Fraction(3, 2) and "outside the state set" in str(escape)
-
-
-@pytest.fixture
-def gaps_allowed(monkeypatch):
-    """Systems whose regions leave gaps, which PWASystem refuses: the exact engine must not rely on that."""
-    monkeypatch.setattr("mireach.systems.pwa._check_partition", lambda *_: None)
-
-
-def test_a_gap_between_regions_is_noticed_however_narrow(gaps_allowed):
-    zero, column = np.zeros((2, 2)), np.zeros((2, 1))
-    for width in (0.0, 1e-9):
-        regions = mr.Polytope([[1.0, 0, 0]], [0.0]), mr.Polytope([[-1.0, 0, 0]], [-width])
-        modes = [mr.Mode(zero, column, [0.5, 0.0], region) for region in regions]
-        net = mr.MaxoutNetwork((), np.zeros((1, 2)), [0.0])
-        loop = mr.ClosedLoop(mr.PWASystem(modes, square(1), mr.Polytope.box([-1], [1])), net)
-        escape = exact.first_escape(loop, corners(([-1, -1], [1, 1])))
-        assert escape is None if not width else 0 < escape.state[0] < width and "no region contains" in str(escape)
-
-
-def test_on_a_boundary_every_mode_counts():
-    loop = jump_loop([0.0, 0.0], [9.0, 0.0])  # right of x1 = 1, and on it, all is carried out of X
-    assert exact.first_escape(loop, corners(([-1, -1], [np.nextafter(1, 0), 1]))) is None
-    escape = exact.first_escape(loop, corners(([-1, -1], [1, 1])))
-    assert escape.mode == 1 and escape.state[0] == 1
-
-
-def test_points_and_segments_are_sets_too():
-    still, loop = [np.zeros((1, 2))], affine_loop([[0.5, 0], [0, 2.0]])
-    assert exact.first_escape(loop, still) is None
-    assert exact.first_escape(loop, [np.array([[-1.0, 0], [1, 0]])]) is None
-    escape = exact.first_escape(loop, [np.array([[0, -1.0], [0, 1]])])
-    assert escape.state[0] == 0 and abs(escape.after[1]) > 1
-    assert exact.first_escape(affine_loop([[0, 0], [0, 0.0]], square(0.25)), corners(([-1, -1], [1, 1]))) is None
-    segment = mr.Polytope.box([-0.5, 0], [0.5, 0])
-    assert exact.first_escape(affine_loop(0 * np.eye(2), segment), [np.array([[-0.5, 0], [0.5, 0]])]) is None
-    assert exact.first_escape(affine_loop(0 * np.eye(2), segment), [np.array([[-0.4, 0], [0.5, 0]])]) is not None
-
-
-def test_a_hole_that_the_image_covers_is_found():
-    loop = affine_loop(0.5 * np.eye(2), square(0.25), limits=4)
-    around = mr.Region.of(square(2)) - square(0.01)
-    pieces = [around.pieces[i] for i in range(len(around.pieces))]
-    escape = exact.first_escape(loop, pieces)
-    assert max(abs(value) for value in escape.after) < 0.01
-    assert_escapes(loop, pieces, escape)
 
 
 def test_the_safe_set_of_case_1_is_the_one_of_the_float_cells():
@@ -139,79 +45,93 @@ def test_one_step_only():
     assert mr.support(affine_loop(0.5 * np.eye(2)), empty, mr.directions(4), engine="exact").bound.max() == -np.inf
 
 
-ZERO, COLUMN = np.zeros((2, 2)), np.zeros((2, 1))
+# -- any number of states -----------------------------------------------------------------------------
 
 
-def constant_maps(regions, targets, X):
-    """x+ = target on each region (H, h) of (x, u), with u = 0."""
-    modes = [mr.Mode(ZERO, COLUMN, target, mr.Polytope(*region)) for region, target in zip(regions, targets)]
-    net = mr.MaxoutNetwork((), np.zeros((1, 2)), [0.0])
-    return mr.ClosedLoop(mr.PWASystem(modes, X, mr.Polytope.box([-1], [1])), net)
+def assert_highest(loop, F, V):
+    """The steps attain the largest value that any mode and choice of channels has, in fractions."""
+    assert_attained(loop, F, V, exact_highest(loop, F, V))
 
 
-@pytest.mark.parametrize("flip", [1, -1])
-def test_a_flat_cell_does_not_stand_for_the_whole_of_its_line(gaps_allowed, flip):
-    flat = mr.Polytope.box([-1, 0], [1, 0])  # nothing acts between -1/2 and 1/2
-    loop = constant_maps([([[1.0, 0, 0]], [-0.5]), ([[-1.0, 0, 0]], [-0.5])], [[0.75, 0]] * 2, flat)
-    assert mr.prove_rpi(loop, flat).verdict == "refuted"
-    beside = [([[1.0, 0, 0]], [0.5 - 1e-8]), ([[-1.0, 0, 0]], [-0.5 - 1e-8])]  # a narrow gap
-    within = [([[1.0, 0, 0], [-1, 0, 0], [0, flip, 0]], [0.5, -0.5, -0.5])]  # a mode on a part of the line in it
-    loop = constant_maps(beside + within, [[0.5, -0.75 * flip]] * 3, square(1))
-    assert mr.prove_rpi(loop, mr.Region(shapely.LineString([[0.5, -1], [0.5, 1]]))).verdict == "refuted"
+def assert_attained(loop, F, V, expected):
+    """There are steps from F, in fractions, that attain the expected values."""
+    found = exact.support_steps(loop, F, V)
+    for k, truth in enumerate(expected):
+        assert (found is None) == (truth is None)
+        if found is not None:
+            step = found[k]
+            (value,), x, d = fractions([step.value]), fractions(step.state), fractions(step.disturbance)
+            mode, after = loop.system.modes[step.mode], step.escape(loop).after
+            assert value == truth == sum(Fraction(a) * y for a, y in zip(V[k].tolist(), after))
+            assert exactly_inside(F, x) and exactly_inside(loop.system.state_set, x)
+            assert exactly_inside(mode.region, [*x, *exact_input(loop.network, x)])
+            assert exactly_inside(mode.disturbance, d)
+            assert all(sum(map(mul, fractions(a), x)) <= fractions([b])[0] for a, b in zip(*step.piece))
 
 
-@pytest.mark.parametrize("side", [1, -1])
-def test_a_segment_that_is_cut_stays_a_segment(side):
-    segment = [binary(x) for x in ([0.0, 0.0], [1.0, 0.0])]
-    cut = exact._clip(segment, binary([side, 0.0]), binary(side * 0.5))
-    assert len(cut) == 2 and binary([0.5, 0.0]) in cut
+@pytest.mark.parametrize(
+    ("seed", "n", "m", "with_input"), [(0, 3, 1, False), (1, 3, 2, True), (2, 4, 1, True), (3, 4, 2, False)]
+)
+def test_support_of_random_loops_is_the_largest_of_all_exact_maxima(seed, n, m, with_input):
+    rng = np.random.default_rng(seed)
+    loop = random_loop(seed, n=n, m=m, cuts=2, with_input=with_input, layers=2)
+    X, x = loop.system.state_set, loop.system.state_set.sample(rng, 2)
+    flat = np.arange(n) == 0
+    sets = [X, X.scale(0.5), mr.Polytope.box(x[0], x[0])]
+    sets.append(mr.Polytope.box(np.where(flat, x[0], x.min(axis=0)), np.where(flat, x[0], x.max(axis=0))))
+    for F in sets:
+        assert_highest(loop, F, rng.normal(size=(1, n)))
 
 
-def test_a_witness_leaves_flat_parts_as_well():
-    loop = affine_loop(0 * np.eye(2), square(0.25))
-    step = mr.prove_rpi(loop, mr.Region.of(np.zeros((1, 2)))).witness
-    assert step.after != (0, 0) and step.after == steps.successor(loop, step.state, step.mode, step.disturbance)
+@pytest.mark.parametrize("n", [3, 4])
+def test_of_a_flat_set_in_a_boundary_of_regions_both_modes_count(n):
+    loop = random_loop(11, n=n, cuts=1)
+    a, b = loop.system.modes[0].region.H[1, :n], loop.system.modes[0].region.h[1]
+    F = loop.system.state_set & mr.Polytope([a, -a], [b, -b])
+    V = np.random.default_rng(n).normal(size=(3, n))
+    alone = [[step.value for step in exact.support_steps(without(loop, mode), F, V)] for mode in (0, 1)]
+    assert_attained(loop, F, V, fractions(map(max, *alone)))
+    np.testing.assert_allclose(mr.support(loop, F, V, engine="exact").value, brute_support(loop, F, V), atol=1e-7)
 
 
-def test_a_set_that_ends_just_short_of_a_jump_is_not_refuted_by_it():
-    regions = [([[1.0, 0, 0]], [0.1]), ([[-1.0, 0, 0]], [-0.1])]
-    loop = constant_maps(regions, [[9.0, 0], [0.5, 0]], square(3))
-    beyond = mr.Polytope.box([np.nextafter(0.1, 1), -1], [1, 1])
-    assert mr.prove_rpi(loop, beyond).verdict == "proven"
-    assert mr.prove_rpi(loop, mr.Polytope.box([0.1, -1], [1, 1])).verdict == "refuted"
+def without(loop, mode):
+    """The loop without one of its modes."""
+    system = copy(loop.system)
+    object.__setattr__(system, "modes", tuple(one for i, one in enumerate(loop.system.modes) if i != mode))
+    return mr.ClosedLoop(system, loop.network)
 
 
-def test_a_flat_cell_is_cut_by_rows_of_u():
-    net = mr.MaxoutNetwork((), np.array([[0.0, 1.0]]), [0.0])  # u = x2; on x1 = 0, u >= 1.5 a third mode acts
-    line = mr.Polytope([[1.0, 0, 0], [-1, 0, 0], [0, 0, -1]], [0.0, 0, -1.5])
-    modes = [mr.Mode(ZERO, COLUMN, [0.5, 0], mr.Polytope([[sign, 0, 0]], [0.0])) for sign in (1.0, -1.0)]
-    system = mr.PWASystem([*modes, mr.Mode(ZERO, COLUMN, [9.0, 0], line)], square(2), mr.Polytope.box([-3], [3]))
-    loop = mr.ClosedLoop(system, net)
-    assert mr.prove_rpi(loop, square(1)).verdict == "proven"
-    assert mr.prove_rpi(loop, square(1.75)).verdict == "refuted"
+def test_a_state_set_that_is_flat_is_one():
+    """X is a square in R^3; x+ = (max(x1, -x1), x2, 0) on it."""
+    net = mr.MaxoutNetwork([mr.Layer([[1.0, 0, 0], [-1.0, 0, 0]], np.zeros(2), 2)], [[1.0]], [0.0])
+    A, B = np.diag([0.0, 1, 0]), [[1.0], [0], [0]]
+    mode = mr.Mode(A, B, np.zeros(3), mr.Polytope(np.eye(4)[:1], [9.0]))
+    X, U = mr.Polytope.box([-2, -1, 0], [1, 1, 0]), mr.Polytope.box([-3], [3])
+    loop = mr.ClosedLoop(mr.PWASystem([mode], X, U), net)
+    found = mr.support(loop, X, np.vstack([np.eye(3), -np.eye(3)]), engine="exact")
+    assert found.bound.tolist() == [2, 1, 0, 0, 1, 0]
 
 
-@pytest.mark.parametrize("corner", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
-def test_every_corner_of_a_disturbance_set_leads_out_by_itself(corner):
-    """x+ = d reaches the square of half-width 1/2; the row corner x <= limit cuts one corner of it off, or none."""
-    loop = affine_loop(np.zeros((2, 2)), square(0.5))
-    for limit, inside in ((1.0, True), (np.nextafter(1.0, 0), False), (0.75, False)):
-        F = square(1) & mr.Polytope([corner], [limit])
-        escape = exact.first_escape(loop, [F.vertices()])
-        assert (escape is None) == inside
-        assert inside or sum(s * y for s, y in zip(corner, escape.after)) > Fraction(limit)
-        bound = mr.support(loop, F, [corner], engine="exact").bound[0]
-        assert bound == 1
+@pytest.mark.parametrize("name", ["three_tanks", "four_tanks"])
+def test_the_bound_of_the_milp_lies_above_the_exact_one_by_its_resolution_at_most(name):
+    case = mr.case_study(name)
+    F, V = case.system.state_set.scale(0.6), case.directions[:3]
+    exactly, milp = (mr.support(case.loop, F, V, engine=engine) for engine in ("exact", "milp"))
+    assert (exactly.bound <= milp.bound).all() and (milp.bound <= exactly.bound + milp.resolution).all()
+    assert (exactly.value >= milp.value - 1e-9).all() and exactly.rests_on == "exact arithmetic"
+    assert_attained(case.loop, F, V, fractions(step.value for step in exact.support_steps(case.loop, F, V)))
 
 
-@pytest.mark.parametrize("rows", [(1, 1, -1), (1, -1, 1), (-1, 1, 1), (1, 1, 1), (1, -1, -1)])
-def test_of_channels_that_tie_on_all_of_a_piece_one_has_it(rows):
-    """Phi(x) = max(r x1 for r in rows), x1+ = Phi(x): the cells cover X once, and every side of x1 = 0 counts."""
-    net = mr.MaxoutNetwork([mr.Layer([[r, 0.0] for r in rows], np.zeros(3), 3)], [[1.0]], [0.0])
-    mode = mr.Mode(np.zeros((2, 2)), [[1.0], [0.0]], [0, 0], mr.Polytope([[0.0, 0, 0]], [1.0]))
-    loop = mr.ClosedLoop(mr.PWASystem([mode], square(1), mr.Polytope.box([-1], [1])), net)
-    assert len(exact.cells(loop)) == len(set(rows))
-    for low, high in ((-1.0, -0.25), (0.25, 1.0), (-1.0, 1.0)):
-        ends = [max(r * x for r in rows) for x in (low, high, min(max(low, 0), high))]
-        found = mr.support(loop, mr.Polytope.box([low, 0], [high, 0.5]), [[1.0, 0], [-1.0, 0]], engine="exact")
-        assert found.bound.tolist() == [max(ends), -min(ends)]
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_growth_is_the_same_in_every_dimension(n):
+    C, centre = mr.box_directions(n), np.full(n, 0.25)
+    assert exact.growth(C, np.full(2 * n, 1.0), np.full(2 * n, 0.5), centre) == Fraction(5, 3)
+    assert exact.growth(C, np.full(2 * n, 1.0), np.full(2 * n, 0.5), np.full(n, 0.5)) is None
+
+
+def test_too_many_cells_are_an_error_that_says_what_to_do():
+    case = mr.case_study("three_tanks")
+    with pytest.raises(mr.CellLimitError, match=r'has more than 200 .* 3 states; use engine="milp"'):
+        mr.support(case.loop, case.system.state_set, case.directions, engine=mr.Exact(most_cells=100.0))
+    with pytest.raises(ValueError, match="most_cells"):
+        mr.Exact(most_cells=0)

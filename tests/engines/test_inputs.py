@@ -45,16 +45,25 @@ def test_a_spike_between_samples_is_found(engine):
 
 
 @pytest.mark.parametrize("excess", [2.0**-52, 2.0**-45, 1e-9, 1e-3])
-def test_an_excess_is_one_however_small_in_the_plane(excess):
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_an_excess_is_one_however_small(n, excess):
+    rest = [0.0] * (n - 2)
     for net, violates in (
-        (mr.MaxoutNetwork((), [[0.5, 0.5]], [0.0]), False),
-        (mr.MaxoutNetwork((), [[0.5 + excess, 0.5]], [0.0]), True),
-        (mr.MaxoutNetwork((), [[0.5 + excess, 0.5]], [0.0]).saturate(-1, 1), False),
+        (mr.MaxoutNetwork((), [[0.5, 0.5, *rest]], [0.0]), False),
+        (mr.MaxoutNetwork((), [[0.5 + excess, 0.5, *rest]], [0.0]), True),
+        (mr.MaxoutNetwork((), [[0.5 + excess, 0.5, *rest]], [0.0]).saturate(-1, 1), False),
     ):
-        state = violating_state(loop_with(net), Polytope.box([-1], [1]))
+        state = violating_state(loop_with(net, n), Polytope.box([-1], [1]))
         assert (state is not None) == violates
         if violates:
             assert exact_input(net, state.tolist())[0] ** 2 > 1
+
+
+@pytest.mark.parametrize(("excess", "violates"), [(1e-9, False), (1e-3, True)])
+def test_with_too_many_pieces_the_milp_decides_to_within_its_tolerance(monkeypatch, excess, violates):
+    monkeypatch.setattr("mireach.engines.inputs.FEW_CELLS", 0)
+    net = mr.MaxoutNetwork([mr.Layer([[1.0, 0, 0], [0, 1.0, 0]], [0, 0], 2)], [[1 + excess]], [0.0])
+    assert (violating_state(loop_with(net, 3), Polytope.box([-1], [1])) is not None) == violates
 
 
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (2, 3), (3, 1), (3, 2)])

@@ -8,7 +8,7 @@ import shapely
 
 import mireach as mr
 from mireach.arithmetic.rational import binary
-from mireach.engines import exact
+from mireach.engines import exact_plane
 from mireach.sets.geos import hulls
 
 SQUARE, SMALL = mr.Polytope.box([0, 0], [4, 4]), mr.Polytope.box([1, 1], [3, 3])
@@ -139,7 +139,7 @@ def test_pieces_are_convex_beyond_rounding(seed):
     halves = shapely.Polygon([a, middle, a + across]), shapely.Polygon([middle, b, a + across])
     pieces = mr.Region(shapely.union_all(halves)).pieces
     for i in range(len(pieces)):
-        assert len(exact._hull([binary(x) for x in pieces[i]])) == len(pieces[i])
+        assert len(exact_plane._hull([binary(x) for x in pieces[i]])) == len(pieces[i])
 
 
 # -- the words of Polytope ----------------------------------------------------------------------------

@@ -13,7 +13,7 @@ BOUNDARY_POINTS = {
 }
 
 
-LARGER = ("three_tanks", "four_tanks")  # more than two states: no cells, no vertices drawn by hand
+LARGER = ("three_tanks", "four_tanks")  # more than two states: no float cells, no vertices drawn by hand
 
 
 @pytest.fixture(scope="module", params=PAPER_NAMES)

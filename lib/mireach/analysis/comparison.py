@@ -1,8 +1,9 @@
 """Whether R_1(F) lies in half-spaces. Floats propose the answer; a proof decides it.
 
 A row "holds" because of a bound that includes all rounding errors or, if floats do not decide it, because of exact
-arithmetic. R_1(F) "leaves" a half-space because of a step in rational numbers. For more than two states, rows that
-neither of them decides hold to within the resolution of the MILP, and the result states this.
+arithmetic. R_1(F) "leaves" a half-space because of a step in rational numbers. A loop with three or more states may
+have too many cells for exact arithmetic (`FEW_CELLS`). Rows that are then undecided hold to within the resolution of
+the MILP, and the result states this.
 """
 
 from dataclasses import dataclass, field
@@ -14,9 +15,10 @@ from ..arithmetic.rational import binary
 from ..engines import exact, steps
 from ..engines.base import COUNTED, EXACT, SOLVER, Engine, Support, Witness
 from ..engines.exact import Exact
+from ..engines.exact_cells import FEW_CELLS, MOST_CELLS, cells
 from ..engines.registry import engine_for
 from ..engines.units import own_units
-from ..errors import SolverStopped
+from ..errors import CellLimitError, SolverStopped
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..tolerances import CLEAR
@@ -91,8 +93,8 @@ class Comparison:
             step = steps.farthest_step(self.loop, self.F, v, witness.states[0], int(witness.modes[0]))
             if step is not None and step.value > limit:
                 return step
-        if self.loop.system.state_size == 2 and self.found.value[row] > -np.inf:
-            found = exact.support_steps(self.loop, self.F, v[None])
+        if self.found.value[row] > -np.inf and _can_be_exact(self.loop, self.stopped):
+            found = exact.support_steps(self.loop, self.F, v[None], _most_cells(self.loop))
             if found is not None and found[0].value > limit:
                 return found[0]
         return None
@@ -122,8 +124,9 @@ def compare(
     engine : Engine, str or None
         As in `reach.support`.
     tol : float or None
-        A row holds if its bound is at most limit + tol (units of V x). None is the resolution of the engine; for two
-        states it is no tolerance at all, since exact arithmetic decides.
+        A row holds if its bound is at most limit + tol (units of V x). None is no tolerance at all if exact arithmetic
+        can decide: for two states, and for more if the loop has few cells, up to 2,000 for three states and half as
+        many for each further one. Otherwise None is the resolution of the engine.
     thorough : bool
         Whether exact arithmetic must decide every row in doubt, even if floats show that another row clearly does not
         hold.
@@ -142,26 +145,38 @@ def compare(
         if stop.support is None:
             raise
         found, stopped = stop.support, f"; {stop}"
-    bound, rests = found.bound, found.rests_on
+    bound, rests, planar = found.bound, found.rests_on, loop.system.state_size == 2
     holds = ~asked | (bound <= limit + (0.0 if tol is None else tol))
     settled = rests if tol is None or (bound <= limit)[asked].all() else f"to within tol = {tol:g}, {rests}"
-    if tol is None and rests == SOLVER and loop.system.state_size == 2:
+    if tol is None and rests == SOLVER:
         holds = ~asked  # a solver's word is not taken where exact arithmetic is at hand
     if tol is None and not holds.all():
-        if loop.system.state_size == 2:
-            weights = own_units(loop).rows(V)[1]
-            clear = asked & ((found.value - limit) * weights > CLEAR)
-            if thorough or not clear.any():
-                rows = np.flatnonzero(~holds)
-                bound = bound.copy()
-                bound[rows] = support(loop, F, V[rows], engine=Exact()).bound
-                holds, settled = holds | (bound <= limit), EXACT
-        elif engine.resolution:
-            holds = ~asked | (bound <= limit + found.resolution)
-            settled = WITHIN.format(engine.resolution, rests)
-    elif tol is None and rests == SOLVER and engine.resolution:
-        settled = WITHIN.format(engine.resolution, rests)
+        resolved = holds if planar else ~asked | (bound <= limit + found.resolution)
+        clear = asked & ((found.value - limit) * own_units(loop).rows(V)[1] > CLEAR)
+        if (thorough or resolved.all() or not clear.any()) and _can_be_exact(loop, stopped):
+            rows = np.flatnonzero(~holds)
+            bound = bound.copy()
+            bound[rows] = support(loop, F, V[rows], engine=Exact(_most_cells(loop))).bound
+            holds, settled = holds | (bound <= limit), EXACT
+        elif not planar:
+            holds, settled = resolved, WITHIN.format(engine.resolution, rests) if engine.resolution else rests
     return Comparison(loop, F, V, limit, found, bound, holds, settled, stopped)
+
+
+def _can_be_exact(loop: ClosedLoop, stopped: str) -> bool:
+    """Whether exact arithmetic can afford the cells of a loop, and no time limit has passed that it would exceed."""
+    if stopped and loop.system.state_size > 2:
+        return False
+    try:
+        cells(own_units(loop).loop, _most_cells(loop))
+    except CellLimitError:
+        return False
+    return True
+
+
+def _most_cells(loop: ClosedLoop) -> int:
+    """The cells that exact arithmetic can afford for a loop: in the plane as many as it ever keeps."""
+    return MOST_CELLS if loop.system.state_size == 2 else FEW_CELLS
 
 
 def weaker(*settled: str) -> str:

@@ -17,9 +17,9 @@ from shapely.errors import GEOSException
 
 from ..arithmetic.scaling import times
 from ..checks import positive_number, require_kind, whole_number
-from ..engines import exact
+from ..engines import exact_plane
 from ..engines.base import EXACT, Escape
-from ..errors import RegionError
+from ..errors import CellLimitError, RegionError
 from ..results import Result, Verdict
 from ..sets.geos import Shape, Shapes, hulls, overlay
 from ..sets.polygons import Polygons
@@ -342,8 +342,9 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
     Notes
     -----
     For every cell of the loop and every piece of the region, the image of their intersection, enlarged by D^(i), minus
-    the pieces of the region must be empty (`engines.exact.first_escape`). The proof does not depend on GEOS or on the
-    float cells. It depends on python-flint and on `engines/exact.py`.
+    the pieces of the region must be empty (`engines.exact_plane.first_escape`). The proof does not depend on GEOS or on
+    the float cells. It depends on python-flint, `sets/exact_polytopes.py`, `engines/exact_cells.py` and
+    `engines/exact_plane.py`.
     """
     require_kind(region, (Region, Polytope), "region")
     units = PlanarLoop.of(loop).units
@@ -357,8 +358,8 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
 def _check(loop: ClosedLoop, pieces: Polygons, scale: ArrayLike = (1.0, 1.0)) -> RegionCheck:
     """`prove_rpi` of pieces in the units of the loop; an escape is multiplied by `scale`."""
     try:
-        escape = exact.first_escape(loop, [pieces[i] for i in range(len(pieces))])
-    except ArithmeticError as error:
+        escape = exact_plane.first_escape(loop, [pieces[i] for i in range(len(pieces))])
+    except (ArithmeticError, CellLimitError) as error:
         return RegionCheck(Verdict.UNKNOWN, None, str(error))
     if escape is not None:
         factors = [Fraction(s) for s in np.asarray(scale, float).tolist()]

@@ -66,9 +66,9 @@ def check_rpi(
     engine : Engine, str or None
         As in `support`.
     tol : float or None
-        A facet holds if bound <= h + tol, in units of h. None means no tolerance for two states, where exact arithmetic
-        decides if rounding leaves a doubt. For more states it means the resolution of the engine: 1e-6 of the size of X
-        for the MILP.
+        A facet holds if bound <= h + tol, in units of h. None means no tolerance if exact arithmetic can decide where
+        rounding leaves a doubt: for two states, and for more if the loop has few cells. Otherwise it means the
+        resolution of the engine: 1e-6 of the size of X for the MILP.
 
     Returns
     -------

@@ -8,12 +8,14 @@ from functools import lru_cache
 import numpy as np
 
 from ..arithmetic.rational import binary, nearest
+from ..errors import CellLimitError
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop, input_message
 from ..systems.network import MaxoutNetwork
 from ..tolerances import CLEAR
 from ..typing import Array
 from . import cells, exact
+from .exact_cells import FEW_CELLS, MOST_CELLS
 from .milp import engine as milp
 from .units import Units, own_units
 
@@ -25,7 +27,7 @@ def require_inputs(loop: ClosedLoop, time_limit: float | None = None) -> None:
     ----------
     loop : ClosedLoop
     time_limit : float or None
-        Seconds for the MILP, which decides for more than two states.
+        Seconds for the MILP, which decides where exact arithmetic would take long.
 
     Raises
     ------
@@ -36,9 +38,10 @@ def require_inputs(loop: ClosedLoop, time_limit: float | None = None) -> None:
 
     Notes
     -----
-    Interval arithmetic decides for saturated networks, which do not leave U even by rounding. For two states the
-    corners of the cells decide: in floats with bounds on the rounding errors, and in rational arithmetic where these do
-    not suffice. For more states the MILP decides, to within 1e-7 of the size of U.
+    Interval arithmetic decides for saturated networks, which do not leave U even by rounding. Otherwise the corners of
+    the cells decide: for two states in floats with bounds on the rounding errors, and in exact arithmetic if these do
+    not suffice; for more states in exact arithmetic. If the network has too many affine pieces for that (`FEW_CELLS`),
+    the MILP decides, to within 1e-7 of the size of U.
     """
     x = violating_state(loop, loop.system.input_set, time_limit)
     if x is not None:
@@ -74,17 +77,25 @@ def _in_the_plane(network: MaxoutNetwork, regions: tuple[Polytope, ...], X: Poly
         return None
     if excess > CLEAR:
         return x
-    found = exact.highest_inputs(network, X, binary(U.H))
-    for (value, state), limit in zip(found, binary(U.h)):
-        if value > limit:
-            return np.array([nearest(entry) for entry in state])
-    return None
+    return _exactly(network, X, U, MOST_CELLS)
 
 
 @lru_cache(maxsize=128)
 def _in_space(loop: ClosedLoop, U: Polytope, time_limit: float | None) -> Array | None:
     """A state (n,) of X whose input lies outside U, or None, for any n."""
-    return milp.violating_state(loop, U, time_limit=time_limit)
+    try:
+        return _exactly(loop.network, loop.system.state_set, U, FEW_CELLS)
+    except CellLimitError:
+        return milp.violating_state(loop, U, time_limit=time_limit)
+
+
+def _exactly(network: MaxoutNetwork, X: Polytope, U: Polytope, most: int) -> Array | None:
+    """A state (n,) of X whose input lies outside U, or None, without rounding."""
+    found = exact.highest_inputs(network, X, binary(U.H), most)
+    for (value, state), limit in zip(found, binary(U.h)):
+        if value > limit:
+            return np.array([nearest(entry) for entry in state])
+    return None
 
 
 @lru_cache(maxsize=128)

@@ -1,7 +1,7 @@
 """The case studies: what defines each of them, and how plant, network, loop, templates and data are put together.
 
 `pwa` and `double_integrator` are those of Sec. V of [Teichrib2025], with its numbers; `three_tanks` and `four_tanks`
-have more than two states, where there are no cells and the MILP is the method.
+have more than two states, where the MILP is the method, and exact cells settle what it leaves in doubt.
 """
 
 from collections.abc import Callable, Mapping
