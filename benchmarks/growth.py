@@ -132,8 +132,8 @@ def wide():
 
 
 def report(work, limit, here, holds):
-    """One row of the table of what was aimed at."""
-    print("\t".join([MARK, work, "plain limits", f"at most {limit}", here, "yes" if holds else "NO"]))
+    """One row of the table of targets."""
+    print("\t".join([MARK, work, "fixed limit", f"at most {limit}", here, "yes" if holds else "NO"]))
 
 
 def main():

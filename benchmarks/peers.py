@@ -32,7 +32,7 @@ PACKAGES = {
 }
 SAFE_SIDE = 1e-6  # what a bound may lie above the exact support function
 LIMIT = 60.0  # seconds that a peer gets for one direction
-MARK = "figure:"  # begins the lines of a script that belong into the table of what was aimed at
+MARK = "figure:"  # begins the lines of a script that belong in the table of targets
 AIMS = (  # work, case, what against, how many times faster at least
     ("double_integrator, supports of F_max and the terminal set by the MILP", "double_integrator", "HiGHS, paper", 25),
     ("the same", "double_integrator", "Gurobi, paper", 3),
@@ -59,7 +59,7 @@ def main(arguments=None):
 
 
 def figure(ratios, work, case, key, least):
-    """One row of the table of what was aimed at."""
+    """One row of the table of targets."""
     here = ratios[case].get(key)
     if here is None:
         found = "-", "not measured"

@@ -1,9 +1,9 @@
 """Side-by-side timings, printed as Markdown tables: python3 run.py bench [PART ...]
 
-The parts are "rooms" (each engine and room by itself), "peers" (against other solvers), "wide" (cells of a large
-network), "growth" and "dimensions"; the last table says which of the figures aimed at were reached. Medians of
-several runs in one process on one machine; whole-process figures are of a child process. Nothing here is
-asserted: a slow machine is not a fault.
+The parts are "rooms" (each engine and each computation by itself), "peers" (against other solvers), "wide" (cells
+of a large network), "growth" and "dimensions"; the last table says which targets were reached. Medians of several
+runs in one process on one machine; whole-process figures are of a child process. Nothing here is asserted, since
+times depend on the machine.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def main():
     print(f"HiGHS {highspy.Highs().version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
     reached = []
     if "rooms" in parts:
-        print("\n## Rooms\n\n| work | median | unit | runs |\n| --- | ---: | --- | ---: |")
+        print("\n## Single computations\n\n| work | median | unit | runs |\n| --- | ---: | --- | ---: |")
         for name in ("pwa", "double_integrator"):
             for_case(name)
         whole_process()
@@ -57,7 +57,7 @@ def main():
         print("\n## More than two states\n", flush=True)
         child("dimensions.py", "--growth")
     if reached:
-        print("\n## What was aimed at\n\n| work | against | at least | here | reached |", end="")
+        print("\n## Targets\n\n| work | compared with | target | measured | reached |", end="")
         print("\n| --- | --- | ---: | ---: | --- |")
         for line in reached:
             print(f"| {' | '.join(line)} |")

@@ -9,13 +9,14 @@
 # ---
 
 # %% [markdown]
-# # Start here: analyse a neural loop in ten lines
+# # Start here: analyse a neural-network control loop in ten lines
 #
-# **What you will do.** You take a system whose controller is a trained neural network. You compute a set that the
-# closed loop never leaves, and a small set that it always enters. Then you test both with random disturbances.
+# **What you will do.** You take a system whose controller is a trained neural network. You compute a set that the state
+# of the closed loop never leaves, and a small set that it always enters. Then you test both sets with random
+# disturbances.
 #
-# **What you will learn.** What the paper [Teichrib2025] proves, and the four steps of its method. How the paper's
-# symbols are named in the code. What the other notebooks cover.
+# **What you will learn.** What the paper [Teichrib2025] proves, and how the four steps of its method work. How the
+# paper's symbols are named in the code. What the other notebooks cover.
 #
 # **What you need.** Python, and a first course in control: states, inputs, feedback.
 #
@@ -32,8 +33,8 @@ missing = [name for name in needed if find_spec(name) is None]
 print("missing packages:", missing or "none")
 
 # %% [markdown]
-# If a package is missing, close this notebook and run `python3 run.py lab`. It installs everything that the course
-# uses.
+# If a package is missing, close this notebook and run `python3 run.py lab`. This command installs all packages that the
+# course uses.
 
 # %%
 import matplotlib.pyplot as plt
@@ -51,9 +52,8 @@ from mireach import plotting
 # \qquad d(k) \in \mathcal{D}^{(i)}.$$
 #
 # The controller is a neural network $\Phi$ that was trained to imitate a good but slow controller: $u(k) = \Phi(x(k))$
-# (eq. (3), UOfK). The imitation is not perfect. The disturbance $d$ is unknown, but bounded. The state must stay in a
-# set $\mathcal{X}$, and the input in a set $\mathcal{U}$. A simulation shows what *can* happen. What can *never*
-# happen?
+# (eq. (3), UOfK). The imitation is not exact. The disturbance $d$ is unknown but bounded. The state must stay in a set
+# $\mathcal{X}$, and the input in a set $\mathcal{U}$. A simulation shows what *can* happen. What can *never* happen?
 #
 # The answer uses one kind of object: the set of states that are reachable in one step from a set $\mathcal{F}$
 # (eq. (4), kStepReachSet),
@@ -74,11 +74,11 @@ from mireach import plotting
 #    each facet is the optimal value of a mixed-integer linear program (Lemmas 1 and 2).
 # 2. **Safe set.** Iterate $\mathcal{F}_{k+1} = \overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{F}_k)\cap\mathcal{X}$
 #    from $\mathcal{F}_0 = \mathcal{X}$ until the set is RPI. This set is $\mathcal{F}_{\max}$ (Prop. 3, Fmax).
-# 3. **Terminal set.** Continue from $\mathcal{F}_{\max}$ until almost nothing changes:
-#    $\overline{\mathcal{R}}_{\min} = \overline{\mathcal{R}}_{\overline{k}}^{\mathcal{D}}(\mathcal{F}_{\max})$
-#    (eq. (24), RminOver, and eq. (25), TerminationFmin).
-# 4. **Stability.** If the last set, scaled by some $\alpha > 1$, lies in the set before it, the last set is
-#    asymptotically stable (Theorem 1).
+# 3. **Terminal set.** Apply step 1 repeatedly, starting from $\mathcal{F}_{\max}$, until the set hardly changes:
+#    $\overline{\mathcal{R}}_{\min} = \overline{\mathcal{R}}_{\overline{k}}^{\mathcal{D}}(\mathcal{F}_{\max})$ (eq.
+#    (24), RminOver, and eq. (25), TerminationFmin).
+# 4. **Stability.** If the terminal set, scaled by some $\alpha > 1$, lies in the set of the previous step, the terminal
+#    set is asymptotically stable (Theorem 1).
 
 # %%
 case = mr.case_study("pwa")  # system and network of the first case study
@@ -97,8 +97,8 @@ for name, P in (("F_max", safe.set), ("R_min-bar", terminal.set)):
     print(f"{name:9} lies in [{lower[0]}, {upper[0]}] x [{lower[1]}, {upper[1]}]")
 
 # %% [markdown]
-# These sets are *proven*: they are built from upper bounds, not from samples. The next figure shows them as in Figure 1
-# of the paper.
+# These sets are *proven*: they are built from upper bounds, not from samples. The next figure shows them as Figure 1 of
+# the paper does.
 
 # %%
 figure, ax = plt.subplots(figsize=(6, 6))
@@ -106,14 +106,14 @@ plotting.plot_sequence(ax, case.system, safe, terminal)
 plt.show()
 
 # %% [markdown]
-# *What to see:* from anywhere in the green box, the state lies inside the first black outline after one step, inside
-# the second after two steps, and so on. The small blue set (enlarged at the lower right) contains the state in the end,
-# for every initial state and every disturbance.
+# *What to see:* for every initial state in the green box, the state lies inside the first black outline after one step,
+# inside the second after two steps, and so on. After the last step it lies in the small blue set (enlarged at the lower
+# right). This holds for every admissible disturbance.
 
 # %% [markdown]
 # ## 4. Try to break it
 #
-# We test the proof by simulation: two hundred initial states all over $\mathcal{F}_{\max}$, with a new random
+# We test the proof by simulation. We draw two hundred initial states from $\mathcal{F}_{\max}$, and a new random
 # disturbance in every step.
 
 # %% tags=["nbval-check-output"]
@@ -154,8 +154,8 @@ print(check.verdict, "- replayed x+ is in X:", case.system.state_set.contains(af
 print("x2 after the step:", round(after[1], 2))
 
 # %% [markdown]
-# From the corner $(-10\ \ {-10})^\top$ the second state leaves $\mathcal{X}$ for every network, because $u$ does not
-# act on $x_2$ in this system. Step 2 of the method must therefore remove this corner.
+# From the corner $(-10\ \ {-10})^\top$ the loop leaves $\mathcal{X}$ for every network: $x_2$ falls below $-10$,
+# because $u$ does not act on $x_2$ in this system. Step 2 of the method must therefore remove this corner.
 
 # %% [markdown]
 # ## 6. A nonlinear plant
@@ -211,16 +211,16 @@ for condition, holds in answer.conditions.items():
 # | 01_sets_and_support_functions | compute with sets by their support functions | ex01 |
 # | 02_maxout_as_mixed_integer | write a network as a mixed-integer program, and break it | ex02 |
 # | 03_pwa_systems_as_mixed_integer | do the same for a system with modes | ex03 |
-# | 04_disturbances_and_one_step_sets | add the disturbance, draw one step, refute an RPI claim | ex04 |
+# | 04_disturbances_and_one_step_sets | add the disturbance, draw a one-step set, refute an RPI claim | ex04 |
 # | 05_from_mpc_to_a_maxout_net | solve optimal control problems, train the 3x3 network | ex05 |
 # | 06_case_study_pwa | compute the sets of the first case study one by one | ex06 |
 # | 07_fit_the_double_integrator | approximate a nonlinear plant, prove the error | ex07 |
-# | 08_train_the_5x5_net | make data by nonlinear optimal control, train the 5x5 network | ex08 |
+# | 08_train_the_5x5_net | generate data by nonlinear optimal control, train the 5x5 network | ex08 |
 # | 09_case_study_double_integrator | compute the sets of the second case study one by one | ex09 |
 # | 10_beyond_the_paper | use exact cells, other centres, tighter errors, many networks | |
 # | 11_your_own_system | analyse your own plant and your own torch network | |
 # | 12_disturbance_lab | drag the disturbance and see how the sets change | |
-# | 13_the_maximal_safe_set | compute backwards the set that the paper's method cannot compute | ex10 |
+# | 13_the_maximal_safe_set | compute the maximal safe set, which the paper's method cannot compute, by backward steps | ex10 |
 # | 14_beyond_the_plane | analyse three and four tanks with the MILP alone, and see what it can prove | |
 #
 # Notebooks 01 to 04 build on each other. 05 and 06 belong together, and so do 07, 08 and 09. 11 needs only this
@@ -229,14 +229,16 @@ for condition, holds in answer.conditions.items():
 # content.
 
 # %% [markdown]
-# **What you saw.** A few calls turn a system and a network into a proof. The result is a set that is never left and a
-# set that is always entered, or a trajectory that shows why there is no proof.
+# **What you saw.** A few calls compute the sets for a given system and network, and prove their properties. The result
+# is a safe set and a terminal set, or a trajectory that refutes the claim.
 #
 # **On your own.**
 #
-# - Replace `mr.directions(8)` by `mr.directions(16)`. Is the terminal set smaller? Why does the sequence end now?
-# - Double the disturbance: `mr.case_study("pwa").loop.with_disturbance(mr.Polytope.box([-0.3, -0.3], [0.3, 0.3]))`. Is
-#   there still a safe set? If not, what does `.reason` say, and what would another template have to do?
+# - Replace `mr.directions(8)` by `mr.directions(16)`. Is the terminal set smaller? After how many steps does the
+#   sequence stop, and why (`terminal.reason`)?
+# - Double the disturbance: `mr.case_study("pwa").loop.with_disturbance(mr.Polytope.box([-0.3, -0.3], [0.3, 0.3]))`.
+#   Does `mr.safe_set` still find a safe set? If not, what does `.reason` say? Which part of the set must another
+#   template cut off?
 # - Check a set of your own: `mr.check_rpi(loop, mr.Polytope.box([-3, -3], [3, 3]))`. If the claim is refuted, replay
 #   the witness. Which of the sets in the first figure are RPI?
 #

@@ -12,12 +12,12 @@
 # # Compute with sets by their support functions
 #
 # **What you will do.** Draw polytopes and their support functions. Add and compare sets without drawing them. Enclose a
-# nonconvex set in a template. See how a badly chosen template grows without bound.
+# nonconvex set in a template. See how the sets of a badly chosen template grow without bound.
 #
 # **What you will learn.** Why the paper's method needs only one number per direction to describe a set. By how much a
 # template with normals $C$ over-approximates a set, and how this error accumulates over several steps.
 #
-# **What you will need.** Matrices, the maximum of a linear function, and notebook 00.
+# **What you need.** Matrices, the maximum of a linear function, and notebook 00.
 #
 # The notebook runs in about ten seconds.
 
@@ -34,8 +34,8 @@ from mireach.systems.plants import pwa_plant
 # %% [markdown]
 # ## 1. A polytope is a list of half-spaces
 #
-# Eq. (2), HRep, describes a polyhedral set by its facets. Each row of $H$ is the outward normal of a facet, and the
-# corresponding entry of $h$ is the offset of this facet,
+# Eq. (2), HRep, describes a polyhedral set by its facets. Each row of $H$ is the outward normal of a facet. The
+# corresponding entry of $h$ is the offset of this facet:
 #
 # $$\mathcal{P} = \{\, x\in\mathbb{R}^n : H x \le h \,\}.$$
 
@@ -97,8 +97,8 @@ for v, built_in in zip(V, P.support(V)):
     print(f"v = {v.tolist()}: h(v) = {value:.3f} at x = {point}   (P.support: {built_in:.3f})")
 
 # %% [markdown]
-# In the next figure, $v = (\cos\varphi\ \ \sin\varphi)$ turns once around. Left: the supporting lines $v x = h(v)$ for
-# a few $\varphi$. Right: $h$ for all $\varphi$.
+# In the next figure, $v = (\cos\varphi\ \ \sin\varphi)$ makes one full turn. Left: the supporting lines $v x = h(v)$
+# for a few $\varphi$. Right: $h$ for all $\varphi$.
 
 
 # %%
@@ -124,14 +124,14 @@ right.set(xlabel=r"angle $\varphi$ of $v$ in degrees", ylabel=r"$h_{\mathcal{P}}
 plt.show()
 
 # %% [markdown]
-# *What to see:* a supporting line touches the set and does not cut it. As long as one vertex maximises $v x$, the curve
-# is a piece of a cosine. It has a kink where $v$ is the normal of a facet.
+# *What to see:* a supporting line touches the set but does not cut it. As long as the same vertex maximises $v x$, the
+# curve is a piece of a cosine. It has a kink where $v$ is the normal of a facet.
 
 # %% [markdown]
 # ## 3. Rules for support functions
 #
 # In one step, the closed loop multiplies a set by a matrix, shifts it, adds a disturbance, and takes the union of
-# several pieces. Each operation is one line for support functions. None of them needs the vertices:
+# several pieces. For support functions, each operation is one line, and none of them needs the vertices:
 #
 # $$h_{A\mathcal{P}}(v) = h_{\mathcal{P}}(v A), \qquad
 # h_{\mathcal{P}\oplus\mathcal{D}}(v) = h_{\mathcal{P}}(v) + h_{\mathcal{D}}(v),$$
@@ -158,8 +158,8 @@ print("by the corners:", by_corners.round(3))
 # $$\mathcal{P}\subseteq\mathcal{Q} = \{x : H^{(\mathcal{Q})} x \le h^{(\mathcal{Q})}\} \quad\Longleftrightarrow\quad
 # h_{\mathcal{P}}(H^{(\mathcal{Q})}) \le h^{(\mathcal{Q})}.$$
 #
-# The invariance check is exactly this test, with a reachable set on the left. One violated row disproves the inclusion.
-# The point of $\mathcal{P}$ that maximises this row (the support vector) is a witness.
+# The invariance check is exactly this test, with a reachable set on the left-hand side. One violated row disproves the
+# inclusion. The point of $\mathcal{P}$ that maximises this row (the support vector) is a witness.
 
 # %% tags=["nbval-check-output"]
 Q = mr.Polytope.box([-2.2, -2.2], [2.2, 1.4])
@@ -241,9 +241,9 @@ plotting.legend_above(ax, 3)
 plt.show()
 
 # %% [markdown]
-# *What to see:* the curves meet at the dots (every 45 degrees). The dashed curve meets the others only at every second
-# dot. The dotted curve also belongs to the convex hull, because a set and its convex hull have the same support
-# function.
+# *What to see:* the curve for eight directions meets the dotted one at the dots (every 45 degrees). The dashed curve
+# meets them only at every second dot. The dotted curve is also the support function of the convex hull of
+# $\mathcal{R}$, because a set and its convex hull have the same support function.
 
 # %% [markdown]
 # ## 6. Repeated steps: the wrapping effect
@@ -296,9 +296,10 @@ figure.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside upper center
 plt.show()
 
 # %% [markdown]
-# *What to see:* the true set (grey) shrinks by a factor of 0.8 per step. Eight directions lose nothing here, because
-# the rotation maps these directions onto themselves. Four directions lose a factor of $\sqrt2$ in *every* step. This
-# exceeds the contraction, so the box grows without bound while the true set shrinks to a point.
+# *What to see:* the true set (grey) shrinks by a factor of 0.8 per step. With eight directions the sets are exact here,
+# because the rotation maps these directions onto themselves. With four directions each step over-approximates the image
+# by a factor of $\sqrt2$. This outweighs the contraction by 0.8, so the box grows without bound while the true set
+# shrinks to a point.
 #
 # The next cell shows the same with a slider. It needs a running kernel; without one, use the figure above.
 
@@ -306,8 +307,8 @@ plt.show()
 step_viewer(draw_step, len(boxes))
 
 # %% [markdown]
-# So the template is a design parameter. With a poor template the method may fail although a safe set exists. An example
-# is the second case study of the paper:
+# So the template is a design parameter. With an unsuitable template the method may fail although a safe set exists. The
+# second case study of the paper is an example:
 
 # %% tags=["nbval-check-output"]
 case = mr.case_study("double_integrator")
@@ -316,16 +317,16 @@ for name, C in (("(I, -I)", mr.box_directions(2)), ("eight directions", mr.direc
     print(f"{name}: {'a safe set' if safe.set is not None else 'no safe set found'} ({safe.verdict})")
 
 # %% [markdown]
-# **What you saw.** The support function describes a convex set. Images, sums, unions and inclusion are simple to
-# compute with it. A template turns any bounded set into a polytope with few facets. This polytope is exact along the
-# rows of the template and too large between them. Over repeated steps the errors multiply.
+# **What you saw.** The support function describes a convex set completely. Images, sums, unions and inclusion are
+# simple to compute with it. A template turns any bounded set into a polytope with few facets. This polytope is exact
+# along the rows of the template and too large between them. Over repeated steps the over-approximation can accumulate.
 #
 # **On your own.**
 #
 # - Give `draw_facets` a polytope with a redundant row, i.e. a row whose line does not touch the set. What is
 #   $h_{\mathcal{P}}$ along it?
-# - How do the widths in section 6 change for a rotation by 30 degrees? For which number of directions does the template
-#   lose nothing?
+# - How do the widths in section 6 change for a rotation by 30 degrees? For which number of directions is the template
+#   exact?
 # - Take `mr.directions(8)` and double the length of every second row. Does the template set change? Why not?
 #
 # **Exercise:** ex01 (`python3 run.py exercises` makes your copy in `exercises/release/ex01`).
@@ -334,4 +335,4 @@ for name, C in (("(I, -I)", mr.box_directions(2)), ("eight directions", mr.direc
 # functions. A. Girard, *Reachability of uncertain linear systems using zonotopes*, HSCC 2005, on the wrapping effect.
 # [Teichrib2025], Sec. I.A, eq. (18), Rover1, and eq. (19), ROverOver.
 #
-# **Next:** 02_maxout_as_mixed_integer encloses the image of a set under a neural network.
+# **Next:** 02_maxout_as_mixed_integer computes the support function of the image of a set under a neural network.

@@ -53,9 +53,9 @@ ax.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
 plt.show()
 
 # %% [markdown]
-# The output of the neuron equals its largest channel: first $z_2$, then $z_3$, then $z_1$. This is a logical *or*. The
-# graph of $g$ is not convex, so linear inequalities alone cannot describe it. One binary variable per channel is
-# enough.
+# The output of the neuron equals its largest channel: from left to right first $z_2$, then $z_3$, then $z_1$. This is a
+# logical *or*: each point of the graph lies on the graph of one of the channels. The graph of $g$ is not convex, so
+# linear inequalities alone cannot describe it. With one binary variable per channel they can.
 #
 # **Eq. (9), MI_Constraints_NN**, for neuron $l$ of layer $i$ and all its channels $j \in \mathcal{A}^{(i)}_l$:
 #
@@ -65,8 +65,8 @@ plt.show()
 # \textstyle\sum_{\jmath \in \mathcal{A}^{(i)}_l} \delta^{(i)}_\jmath &= 1, \qquad \delta^{(i)} \in \{0, 1\}^{p_i w_i}.
 # \end{aligned} $$
 #
-# The second line requires that $q$ is *at least* every channel. The first line requires, where $\delta_j = 1$, that $q$
-# is *at most* channel $j$. Together they leave only $q = z_j$ with $z_j$ the largest channel. Where $\delta_j = 0$, the
+# The second line requires that $q$ is *at least* every channel. For $\delta_j = 1$, the first line requires that $q$ is
+# *at most* channel $j$. Together they leave only $q = z_j$, where $z_j$ is the largest channel. For $\delta_j = 0$, the
 # first line must not restrict $q$. The constant $\overline{b}$ ensures this: it is a *big-M*. We write $M$ for it, and
 # allow a separate value for each channel.
 
@@ -117,12 +117,13 @@ for value in (-3.0, -1.0, 0.0, 1.875, 3.0):
 #
 # A maxout network is a composition of layers of such neurons (eq. (6), NN). The outputs $q^{(i-1)}$ of one layer are
 # the inputs of the next, and $\Phi(q^{(0)}) = W^{(\ell+1)} q^{(\ell)} + b^{(\ell+1)}$. The model is built layer by
-# layer in the same way. One thing changes: the input set of a later layer is not given. A simple and safe method is
-# *interval arithmetic*. It propagates a lower and an upper limit of each quantity through the network, and takes
-# $M_j = \max_i \overline{z}_i - \underline{z}_j$ from the limits of the channels.
+# layer in the same way. There is one difference: the input set of a later layer is not given. A simple and sound method
+# is *interval arithmetic*. It propagates a lower and an upper bound of each quantity through the network. The bounds of
+# the channels give $M_j = \max_i \overline{z}_i - \underline{z}_j$.
 #
 # The network of this notebook has two inputs, two layers of three neurons with three channels each, and weights with
-# one decimal. Its output is not limited. The output of a controller must lie in $\mathcal{U}$; part 4 treats this.
+# one decimal. Its output is not limited. The output of a controller must lie in $\mathcal{U}$; part 4 shows how to
+# ensure this.
 
 # %%
 rng = np.random.default_rng(10)
@@ -157,8 +158,8 @@ def big_M(net, F):
 
 
 # %% [markdown]
-# With these numbers, eq. (9), MI_Constraints_NN, for the whole network is two nested loops, over layers $i$ and neurons
-# $l$.
+# With these values of $M_j$, eq. (9), MI_Constraints_NN, for the whole network needs two nested loops, over the layers
+# $i$ and the neurons $l$.
 
 
 # %%
@@ -209,8 +210,8 @@ for name, network in shapes.items():
 # %% [markdown]
 # There are $\prod_i p_i^{w_i}$ choices of channels, far too many to enumerate. Branch and bound avoids the enumeration.
 # It solves linear programs in which the binaries may take fractional values, and it prunes every branch whose bound
-# shows that it cannot contain the maximum. The efficiency depends on the quality of these bounds, and so on the big-$M$
-# (part 4).
+# shows that it cannot contain the maximum. Its speed depends on the quality of these bounds, and therefore on the
+# big-$M$ (part 4).
 #
 # ## 3. Break it: a big-$M$ that is too small
 #
@@ -226,9 +227,9 @@ for M, (claim, _) in claims.items():
 
 # %% [markdown]
 # There is no warning. The solver reports *optimal*, its state is a valid state, and the network has exactly this output
-# there. But from some $M$ on, the value is no longer an upper bound. The reason: a state $x$ has a feasible
-# $(q, \delta)$ only if no channel of any neuron is below its largest channel by more than $M$. All other states are
-# removed from $\mathcal{F}$ without a warning. We can compute the $M$ that each state requires:
+# there. But from some $M$ on, the value is no longer an upper bound. The reason is the following. A state $x$ has a
+# feasible $(q, \delta)$ only if, in every neuron, no channel is more than $M$ below the largest channel. All other
+# states are removed from $\mathcal{F}$ without a warning. We can compute the $M$ that each state requires:
 
 # %% tags=["nbval-check-output"]
 axis = np.linspace(-4, 4, 161)
@@ -258,20 +259,21 @@ plt.show()
 
 # %% [markdown]
 # With $M = 4$ the constraints have no solution at any hatched state. With $M = 6$ they have none at the densely hatched
-# states. The star, where $\Phi$ is largest, lies there. So the models return the maximum over the remaining states.
-# $M = 8$ still gives the right value by chance: it also removes states, but not this one.
+# states. The star marks the state where $\Phi$ is largest. It lies in the densely hatched region, so both models return
+# only the maximum over the remaining states. $M = 8$ still gives the right value by chance: it also removes states, but
+# not the star.
 #
 # In a reachability analysis this is the worst kind of error. The set $\overline{\mathcal{R}}_1(\mathcal{F})$ is built
-# from such maxima. A maximum that is too small gives a set that is too small, and then *"RPI: proven"* for a set that
-# trajectories leave. A big-$M$ that is too small is **unsound**.
+# from such maxima. If a maximum is too small, the set is too small. The result may then be *"RPI: proven"* for a set
+# that trajectories leave. A big-$M$ that is too small is **unsound**.
 #
 # ## 4. The cost of a big-$M$ that is too large
 #
 # ### It makes the relaxation loose
 #
-# Branch and bound starts from the *relaxation*: $\delta \in [0, 1]$ instead of $\{0, 1\}$. How does the relaxation
-# describe the neuron of part 1? For every $x$, the relaxed constraints admit an interval of $q$, from the graph itself
-# up to this upper limit:
+# Branch and bound starts from the *relaxation*: $\delta \in [0, 1]$ instead of $\{0, 1\}$. We apply it to the neuron of
+# part 1. For every $x$, the relaxed constraints admit an interval of values $q$. Its lower end is $g(x)$. Its upper end
+# is:
 
 
 # %%
@@ -300,8 +302,8 @@ plt.show()
 
 # %% [markdown]
 # With $\delta$ relaxed, everything between the black graph and a coloured line is feasible. Even the smallest sound $M$
-# leaves a gap, and the gap grows with $M$. In the network, gaps of the first layer enter the second layer. The initial
-# bound of branch and bound then becomes useless:
+# leaves a gap, and the gap grows with $M$. In the network, the gaps of the first layer are inputs of the second layer.
+# The initial bound of branch and bound then becomes useless:
 
 # %% tags=["nbval-check-output"]
 for factor in (1, 10, 100, 1000):
@@ -313,12 +315,12 @@ for factor in (1, 10, 100, 1000):
 # the big-$M$ of such models by itself, so it still solves small networks quickly. In larger networks the bounds
 # determine the time; see part 5.)
 #
-# ### It makes the answer wrong
+# ### It can make the result wrong
 #
 # A solver works with floating-point numbers. HiGHS accepts a binary within $10^{-6}$ of 0 or 1 as integral. In
-# $q \le z_j + M (1 - \delta_j)$ this tolerance is multiplied by $M$. The next cell shows a point of our neuron at
-# $x = 0$ for $M = 10^6$, found by hand. It is "integral", it satisfies every row, and its $q$ is twice the neuron's
-# output.
+# $q \le z_j + M (1 - \delta_j)$ this tolerance is multiplied by $M$. The next cell shows such a point of our neuron,
+# chosen by hand, at $x = 0$ for $M = 10^6$. Within the tolerance it is integral, it satisfies every row, and its $q$ is
+# twice the output of the neuron.
 
 # %% tags=["nbval-check-output"]
 M, x0, q0 = 1e6, np.array([0.0]), 1.0
@@ -330,8 +332,8 @@ print(f"furthest from an integer:        {np.abs(delta0 - delta0.round()).max():
 print(f"q = {q0}, but the neuron gives:   {z0.max():.1f}")
 
 # %% [markdown]
-# Does a solver really return such a point? It may, if the objective improves. We saturate the network, as a controller
-# must be (Sec. II.A requires $\Phi(x) \in \mathcal{U}$; two more layers clip the output to $[-2, 2]$), and solve again.
+# Does a solver really return such a point? It may, if the objective improves. We saturate the network and solve again:
+# two more layers clip the output to $[-2, 2]$. (Sec. II.A requires $\Phi(x) \in \mathcal{U}$.)
 
 # %%
 controller = net.saturate(-2.0, 2.0)
@@ -343,9 +345,9 @@ for factor in (1, 1e3, 1e6, 1e7, 1e8):
 
 # %% [markdown]
 # With the version of HiGHS that ran here, the rows with a large $M$ give a wrong result. The solver reports 2 as
-# *optimal*, but the network has a different output at the solver's own state. This error is on the safe side, because
-# the tolerance only enlarges the feasible set. But an invalid witness refutes nothing, and sets that are too large may
-# keep you from finding a safe set that exists. Three rules follow:
+# *optimal*, but the network has a different output at the state that the solver returns. This error is on the safe
+# side, because the tolerance only enlarges the feasible set. But an invalid witness refutes nothing. And if the sets
+# are too large, the method may fail although a safe set exists. Three rules follow:
 #
 # - Compute $M$ from bounds, row by row. Never choose "some large number".
 # - *Replay* the solver's result: evaluate the true network at the returned state. This package does so for every
@@ -354,12 +356,12 @@ for factor in (1, 1e3, 1e6, 1e7, 1e8):
 #
 # ## 5. How this package chooses its big-$M$
 #
-# The engine `milp` builds the same constraints, but computes the smallest $M$ that it can prove. The bounds
-# `"interval"` are those of part 2. With the bounds `"lp"`, the constraints built so far, with relaxed binaries, serve
-# as a linear program. It bounds the next difference of channels $z_i - z_j$ over $\mathcal{F}$. A channel that provably
-# is never the largest gets no binary. The same holds for a mode that is never active. We compare both for the 5x5
-# network of the second case study in closed loop with its plant, over the box $\mathcal{F} = \frac{1}{2} \mathcal{X}$.
-# (The nine modes of the plant add nine binaries; see notebook 03.)
+# The engine `milp` builds the same constraints, but computes the smallest $M$ that it can prove. The option
+# `"interval"` uses the bounds of part 2. The option `"lp"` uses linear programs: it takes the constraints of the layers
+# before, relaxes their binaries, and maximises each difference of channels $z_i - z_j$ over $\mathcal{F}$. If a channel
+# is proven never to be the largest, it gets no binary. The same holds for a mode that is proven never to be active. We
+# compare both for the 5x5 network of the second case study in closed loop with its plant, over the box
+# $\mathcal{F} = \frac{1}{2} \mathcal{X}$. (The nine modes of the plant add nine binaries; see notebook 03.)
 
 # %%
 from mireach.engines.milp.formulation import build
@@ -374,10 +376,10 @@ for bounds in ("interval", "lp"):
     print(f'bounds="{bounds}": {len(model.binaries)} binaries, relaxation {start:.4f}')
 
 # %% [markdown]
-# The bounds are tighter for smaller sets. The engine uses this, unless you request one model for the whole set
-# (`mr.Milp("whole")`). It halves $\mathcal{F}$ repeatedly (`mr.Milp("split")`). On a small box only few channels
-# can be the largest. Boxes that cannot contain the maximum are dropped, and each remaining box needs only a handful of
-# binaries. The times:
+# The bounds are tighter for smaller sets. The engine uses this: it bisects $\mathcal{F}$ repeatedly
+# (`mr.Milp("split")`), unless you request one model for the whole set (`mr.Milp("whole")`). On a small box only a few
+# channels can be the largest. Boxes that cannot contain the maximum are dropped, and each remaining box needs only a
+# few binaries. We compare the run times:
 
 # %%
 from time import perf_counter
@@ -398,24 +400,25 @@ for name, engine in ways.items():
 print("all four agree to 1e-5:", bool(np.ptp(values) < 1e-5))
 
 # %% [markdown]
-# All give the same maximum, the later ones from fewer binaries and a tighter initial bound. The last of the four is a
-# different engine: it divides the plane into the cells on which the loop is affine (notebook 10), and needs neither a
-# big-$M$ nor binaries. The two engines are independent, so their agreement is a check that neither could give alone.
+# All four give the same maximum. From the first to the third, the number of binaries decreases and the initial bound
+# becomes tighter. The fourth is a different engine: it divides the plane into the cells on which the loop is affine
+# (notebook 10), and needs neither a big-$M$ nor binaries. The two engines are independent, so each one checks the
+# other.
 #
 # ## What you saw
 #
-# - A maxout neuron needs three lines of constraints: at least every channel, at most the chosen one, choose exactly
-#   one.
+# - A maxout neuron needs three lines of constraints: $q$ is at least every channel, $q$ is at most the chosen channel,
+#   and exactly one channel is chosen.
 # - A network needs $\sum_i p_i w_i$ binaries. The optimum of the MILP is a statement about *all* states of a set.
 # - The smallest sound $M_j$ is the largest amount by which channel $j$ is below the largest channel. With a smaller
-#   $M_j$, states are lost without a warning, the value is too small, and a proof that uses it is invalid. With a larger
-#   $M_j$, the relaxation is loose. With a much larger one, the solver's tolerance times $M$ becomes an error in the
-#   network's output.
-# - Bounds over the current $\mathcal{F}$ instead of over $\mathcal{X}$ save binaries and tighten the relaxation.
+#   $M_j$, states are lost without a warning, the maximum may be too small, and a proof that uses it is invalid. With a
+#   larger $M_j$, the relaxation is loose. With a much larger one, the solver's tolerance times $M$ becomes an error in
+#   the network's output.
+# - Bounds over the current set $\mathcal{F}$, instead of over $\mathcal{X}$, save binaries and tighten the relaxation.
 #
 # ## On your own
 #
-# - Write a ReLU network with this notebook's functions (channels $z$ and $0$). How many of its binaries could you save?
+# - Write a ReLU network with this notebook's functions (channels $z$ and $0$). How many of its binaries can you save?
 # - Replace `interval` by two small LPs for each channel difference, over the relaxation of the layers before. How much
 #   smaller do the $M_j$ of the second layer become?
 # - Shrink `F` step by step to the origin. When does the first binary become superfluous?

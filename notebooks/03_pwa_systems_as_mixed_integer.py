@@ -13,7 +13,8 @@
 #
 # **What you will do.** Look at the four-mode system of the first case study: its regions, their images under each mode,
 # and the jumps at their boundaries. Then write "choose the right mode and apply it" as linear constraints with binary
-# variables in cvxpy. A solver then finds the extreme next states over a whole set.
+# variables in cvxpy. A solver then finds the largest and the smallest value of each component of the next state over a
+# whole set.
 #
 # **What you will learn.** The meaning of eq. (10), gammaForR, and eq. (12), MISys, line by line. Why the model must
 # include both modes at a boundary. How the big-$M$ follows from the sets. How regions may also depend on the input.
@@ -83,14 +84,14 @@ fig.legend(loc="outside lower center", ncols=4, frameon=False)
 plt.show()
 
 # %% [markdown]
-# The regions cover $\mathcal{X}$ without gaps. Their images do not: they overlap, they leave gaps, and some extend
-# beyond $\mathcal{X}$ (mode 3 leads below $-10$ in $x_2^+$).
+# The regions cover $\mathcal{X}$ without gaps. The images overlap, leave gaps, and partly lie outside $\mathcal{X}$
+# (mode 3 gives $x_2^+ < -10$ at some states).
 #
 # ## 2. Jumps at the boundaries
 #
 # Neighbouring regions share a boundary. For example, $(4, 0)$ lies in region 1 and in region 2, because regions are
-# closed. The two modes need not agree there, and in this system they do not. We compute their difference at a distance
-# of one from the origin.
+# closed. The two modes need not give the same successor there, and in this system they do not. We compute the
+# difference of the two successors at a distance of 1 from the origin, for $u = 0$.
 
 # %% tags=["nbval-check-output"]
 half_axes = {(1, 0): (1, 2), (0, 1): (1, 4), (-1, 0): (3, 4), (0, -1): (2, 3)}  # and the modes that meet there
@@ -115,14 +116,15 @@ fig.legend(loc="outside lower center", ncols=4, frameon=False)
 plt.show()
 
 # %% [markdown]
-# Each boundary point has two successors, joined by a dotted line. A full marker shows the mode named first, an open one
-# the other. (For mode 1 on the positive $x_1$ axis they form the short tail below the origin.) All modes map the origin
-# to itself for $u = 0$, so there is no jump there. The jump grows with the distance from the origin.
+# Each boundary point has two successors, joined by a dotted line. A filled marker is the successor under the mode that
+# is named first, an open marker the one under the other mode. (The filled circles, mode 1 on the positive $x_1$ axis,
+# lie close together just below the origin.) All modes map the origin to itself for $u = 0$, so there is no jump there.
+# The jump grows with the distance from the origin.
 #
-# Which of the two is *the* successor? The equation does not determine it. A measured or computed state is never known
-# to lie exactly on a boundary: rounding or an arbitrarily small disturbance may move it to either side. A proof about
-# the system must therefore include **both** successors. A set that is proven safe with only one of them need not be
-# safe.
+# Which of the two is the right successor? The equation does not determine it. A measured or computed state is never
+# known to lie exactly on a boundary: rounding or an arbitrarily small disturbance may move it to either side. A proof
+# about the system must therefore include **both** successors. If a proof includes only one of them, the system may
+# still leave the set.
 #
 # ## 3. Choose a region: eq. (10), gammaForR
 #
@@ -132,8 +134,8 @@ plt.show()
 #    \mathbf{1}^\top \gamma(k) = 1, \quad \gamma(k) \in \{0, 1\}^s . $$
 #
 # $\gamma_i = 1$ enforces $(x, u) \in \mathcal{P}^{(i)}$. $\gamma_i = 0$ must not restrict $(x, u)$ within
-# $\mathcal{X} \times \mathcal{U}$. Therefore, as in [Bemporad1999], $M$ is the largest value of left-hand side minus
-# right-hand side of this row. This is a support function:
+# $\mathcal{X} \times \mathcal{U}$. Therefore, as in [Bemporad1999], $M$ is the largest difference between the left-hand
+# side and the right-hand side of the row. This is a support function:
 #
 # $$ M = h_{\mathcal{X} \times \mathcal{U}}(H^{(i)}_r) - h^{(i)}_r \quad \text{for row } r . $$
 
@@ -242,8 +244,8 @@ for i in (0, 1):
     print(f"MILP:  x{i + 1}+ from {bottom[i]:.4f} to {top[i]:.4f}")
 
 # %% [markdown]
-# The model finds both. Are the values *between* them feasible, too? They must not be: the reachable set of this point
-# consists of two points, not of a segment.
+# The model finds both. Are the values *between* them also feasible? They must not be, because the reachable set of this
+# point consists of two points and is not a segment.
 
 # %% tags=["nbval-check-output"]
 x, u = cp.Variable(2), cp.Variable(1)
@@ -256,8 +258,8 @@ for name, target in (("mode 1's", both[0]), ("half way", both.mean(axis=0)), ("m
 
 # %% [markdown]
 # All engines of this package give the same result. In the next cell the controller always gives $u = 0.5$ (a network
-# without hidden layers), and $\mathcal{F}$ is a single point. The method `step`, which simulates, must choose one
-# value. It takes the value of the first mode.
+# without hidden layers), and $\mathcal{F}$ is a single point. The method `step` simulates the loop and must choose one
+# value. It uses the first mode whose region contains the point.
 
 # %% tags=["nbval-check-output"]
 loop = mr.ClosedLoop(plant, mr.MaxoutNetwork([], np.zeros((1, 2)), u0))
@@ -295,12 +297,12 @@ plt.show()
 # %% [markdown]
 # The successors of $\mathcal{F}$ form two disjoint pieces, because the map jumps across the boundary. The template set
 # from the eight values of the MILP touches the pieces from outside in each direction. It is convex, so it also covers
-# the gap between them. This is the price of using polytopes; notebook 10 shows how much it costs.
+# the gap between them. This is a disadvantage of convex sets; notebook 10 shows how large the effect is.
 #
 # ## 5. The big-$M$ again
 #
-# In [Bemporad1999] the value of $M$ is not just "a large number". Here it is 10 for every row of eq. (10), gammaForR,
-# and for eq. (12), MISys, it is:
+# In [Bemporad1999] the value of $M$ is computed, not guessed. Here it is 10 for every row of eq. (10), gammaForR. For
+# eq. (12), MISys, it is:
 
 # %% tags=["nbval-check-output"]
 for i, mode in enumerate(plant.modes, start=1):
@@ -310,8 +312,8 @@ for i, mode in enumerate(plant.modes, start=1):
 # %% [markdown]
 # (All sets are symmetric about the origin here, so $M$ is needed for one sign only.) What happens with a smaller $M$ in
 # eq. (10), gammaForR? A state in region 1 must also satisfy the *relaxed* rows of the three other regions: $x_1 \le M$,
-# $x_2 \le M$. With $M = 5$ only the states with $|x|_\infty \le 5$ remain, a quarter of the area of $\mathcal{X}$. The
-# largest $x_1^+$ is then too small, again without any warning:
+# $x_2 \le M$. With $M = 5$ only the states with $|x|_\infty \le 5$ remain. This is a quarter of the area of
+# $\mathcal{X}$. The largest $x_1^+$ is then too small, again without a warning:
 
 
 # %% tags=["nbval-check-output"]
@@ -331,9 +333,9 @@ for M in (20, 10, 8, 5, 1):
 # %% [markdown]
 # ## 6. Regions that depend on the input
 #
-# Nothing above requires that the regions depend on $x$ alone: the rows $H^{(i)}$ act on $(x, u)$. As an example,
-# consider a battery with charge $x \in [0, 1]$ and power $u \in [-0.3, 0.3]$. A tenth of the power is lost when
-# charging and when discharging. If a step would raise the charge above 0.8, the charger halves its power:
+# The regions need not depend on $x$ alone: the rows $H^{(i)}$ act on $(x, u)$. As an example, consider a battery with
+# charge $x \in [0, 1]$ and power $u \in [-0.3, 0.3]$. A tenth of the power is lost when charging and when discharging.
+# If a step would raise the charge above 0.8, the charger halves its power:
 #
 # | mode | region | next charge |
 # |---|---|---|
@@ -356,7 +358,7 @@ controller = mr.MaxoutNetwork([], [[-2]], [1.8]).saturate(-0.3, 0.3)  # charge t
 
 # %% [markdown]
 # At a charge of 0.7, the active mode depends on the power. Under a controller $u = \Phi(x)$ the system moves along a
-# curve in the plane of $x$ and $u$. It changes its mode where the curve crosses a boundary.
+# curve in the plane of $x$ and $u$. The mode changes where the curve crosses a boundary.
 
 # %%
 xs = np.linspace(0, 1, 201)[:, None]
@@ -377,9 +379,9 @@ plt.show()
 
 # %% [markdown]
 # Left: the regions in the plane of charge and power, and the controller. Right: the next charge of the loop. Below the
-# thin diagonal the charge falls. Where the curve crosses from mode 2 to mode 3, the next charge jumps. From mode 3 to
-# mode 1, at $u = 0$, both modes agree. The functions of parts 3 and 4 work for this system without changes, for any
-# $u$:
+# thin diagonal the charge falls. Where the controller's curve crosses from mode 2 to mode 3, the next charge jumps.
+# Where it crosses from mode 3 to mode 1, at $u = 0$, both modes give the same next charge. The functions of parts 3 and
+# 4 work for this system without changes, for any $u$:
 
 # %% tags=["nbval-check-output"]
 rng, worst = np.random.default_rng(0), 0.0
@@ -397,10 +399,10 @@ print(f"all charges of [0, 1] go to [{-h[1]:.4f}, {h[0]:.4f}] in one step")
 #
 # - Eq. (10), gammaForR, chooses a region, and eq. (12), MISys, applies its dynamics. They need $s$ binaries per step,
 #   and every $M$ is a support function over $\mathcal{X} \times \mathcal{U}$.
-# - A piecewise-affine map may jump. On a boundary the model admits every mode that contains the point, and nothing
-#   between their successors. Every method that proves something must do the same.
+# - A piecewise-affine map may jump. On a boundary the model admits the successor of every mode whose region contains
+#   the point, and no values between these successors. Every method that proves invariance must do the same.
 # - A big-$M$ in eq. (10), gammaForR, that is too small removes states that are far from the *other* regions.
-# - Regions in $(x, u)$ need no changes.
+# - For regions in $(x, u)$ the constraints need no changes.
 #
 # ## On your own
 #
@@ -408,8 +410,8 @@ print(f"all charges of [0, 1] go to [{-h[1]:.4f}, {h[0]:.4f}] in one step")
 # - Make $M$ in eq. (12), MISys, too small instead. Which states are lost now?
 # - Put `maxout_network` of notebook 02 between $x$ and $u$, with `mr.case_study("pwa").network`. This is Lemma 2
 #   without disturbance. Compare with `mr.support`.
-# - Change the battery's third mode so that its map no longer jumps between the modes 2 and 3. Is there an affine map
-#   that agrees with both neighbours?
+# - Change the third mode of the battery so that the map no longer jumps between modes 2 and 3. Is there an affine map
+#   that agrees with both neighbouring modes on their boundaries?
 #
 # **Exercise:** `exercises/ex03`. **Next:** notebook 04 adds the disturbance and introduces reachable sets.
 #

@@ -12,12 +12,12 @@
 # # Add disturbances and compute one-step sets
 #
 # **What you will do.** Extend the mixed-integer model of notebook 03 by a disturbance whose set depends on the mode.
-# Compute support functions of reachable sets with it. Draw the reachable set and its template over-approximations.
-# Decide whether a set is robustly positively invariant (RPI), with a counterexample if it is not.
+# Compute support functions of reachable sets with this model. Draw a reachable set and its over-approximations by
+# templates. Decide whether a set is robustly positively invariant (RPI), with a counterexample if it is not.
 #
 # **What you will learn.** What eq. (14), MISysWithDis, adds to eq. (12), MISys. What Lemmas 1 and 2 state. Why the
-# paper prefers $k$ small problems to one large one, and what this costs. How an RPI check consists of a few support
-# functions.
+# paper prefers $k$ small problems to one large problem, and how much accuracy this costs. How to check whether a set is
+# RPI with a few support functions.
 #
 # **What you need.** Notebooks 01 to 03: support functions, templates, and the big-$M$ model of a piecewise-affine
 # system. "Run all" takes about 15 seconds.
@@ -48,8 +48,9 @@ print(f"{len(system.modes)} modes, |d| <= {case.disturbance_bound} in each, {loo
 #   \quad\text{if}\quad \begin{pmatrix} x(k) \\ u(k) \end{pmatrix} \in \mathcal{P}^{(i)}.$$
 #
 # By eq. (13), dinDi, the region of $(x, u)$ determines *which* disturbances are admissible. In the case study all four
-# sets are the same small box. To show what the model can do, we take four large and different sets. With a segment, the
-# disturbance acts on both states in a fixed ratio. With a point, it is constant; here it is zero.
+# sets are the same small box. To show the possibilities of the model, we use four large sets of different shape: a box,
+# a segment, a point and a diamond. If the set is a segment, the disturbance acts on both states in a fixed ratio. If it
+# is a point, the disturbance is constant; here it is zero.
 
 # %%
 box = mr.Polytope.box([-1.2, -0.6], [1.2, 0.6])
@@ -63,7 +64,7 @@ plant = system.with_disturbance([box, segment, point, diamond])  # eq. (13), din
 # Notebook 03 chose the mode by binaries $\gamma_i$ (eq. (10), gammaForR). Each mode had its own copy $\tilde x^{(i)}$
 # of the successor, which is zero unless $\gamma_i = 1$ (eq. (12b), MI_PWA_xTilde), and the successor was the sum of the
 # copies (eq. (12c), MI_PWA_sumXTilde). All of this remains. **Eq. (14), MISysWithDis**, adds $d$ to the dynamics and
-# switches its limits with the mode:
+# makes its limits depend on the mode:
 #
 # $$\begin{aligned}
 # -\mathbf{1} M (1 - \gamma_i) \le A^{(i)} x + B^{(i)} u + p^{(i)} + d - \tilde x^{(i)}
@@ -92,9 +93,9 @@ def disturbed_step(system, x, u, M=100.0):
 
 
 # %% [markdown]
-# One common $M = 100$ is enough here, because nothing in this system exceeds 40. Notebook 02 showed the effect of a
-# big-$M$ that is too small or too large. Now we fix a state and its input $u = \Phi(x)$, and maximise $x^+$ along the
-# eight directions of the template. The result is $h_{\mathcal{R}_1(\{x\})}(C)$. It must equal
+# One common $M = 100$ is large enough here, because no quantity in this system exceeds 40. Notebook 02 showed the
+# effect of a big-$M$ that is too small or too large. Now we fix a state and its input $u = \Phi(x)$, and maximise $x^+$
+# along the eight directions of the template. The result is $h_{\mathcal{R}_1(\{x\})}(C)$. It must equal
 # $C (A^{(i)} x + B^{(i)} u + p^{(i)}) + h_{\mathcal{D}^{(i)}}(C)$.
 
 # %% tags=["nbval-check-output"]
@@ -141,8 +142,8 @@ plt.show()
 # Each dashed arrow leads from a state (black) to its undisturbed successor. Around the successor lies the disturbance
 # set of the state's region: a box, a segment, a single point, a diamond.
 #
-# The regions are closed, so on a boundary the binaries may choose. At $x = (0, -7)$ modes 2 and 3 both contain the
-# state. Their dynamics differ there, and the model admits both successors:
+# The regions are closed, so on a boundary more than one mode is feasible. The state $x = (0, -7)$ lies in the regions
+# of modes 2 and 3. Their dynamics differ there, and the model admits both successors:
 
 # %% tags=["nbval-check-output"]
 on_boundary = (0, -7)
@@ -153,8 +154,9 @@ for i in (1, 2):
 print("h along (1, 0), (0, 1), (-1, 0), (0, -1):", np.round(h_both[::2], 2))
 
 # %% [markdown]
-# The support along $(-1, 0)$ comes from mode 3, and the one along $(1, 0)$ from mode 2. A map that jumps is treated as
-# set-valued, so a verdict does not depend on the side to which a boundary point is assigned.
+# The value of the support function along $(-1, 0)$ comes from mode 3, and the value along $(1, 0)$ from mode 2. The
+# model treats the map as set-valued on the boundary. A verdict therefore does not depend on the mode to which a
+# boundary point is assigned.
 #
 # ## 2. Lemmas 1 and 2: the whole loop as one model
 #
@@ -180,10 +182,10 @@ print("what attains h along (1, 0):")
 print(by_cells.witness[0])
 
 # %% [markdown]
-# Both engines agree. The witness is the trajectory that attains the maximum. For two states there is a method without
-# a MILP, which also lets us *see* the set. $\mathcal{X}$ is divided into convex **cells**. On each cell one mode is
-# active and the network is affine, $\Phi(x) = K x + g$. So $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})$ is the union of
-# the convex pieces
+# Both engines agree. The witness is the trajectory that attains the maximum. For two states there is a method without a
+# MILP. It also lets us *draw* the set. $\mathcal{X}$ is divided into convex **cells**. On each cell one mode is active
+# and the network is affine, $\Phi(x) = K x + g$. So $\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})$ is the union of the
+# convex pieces
 #
 # $$\big(A^{(i)} + B^{(i)} K\big)\,(\text{cell} \cap \mathcal{F}) + B^{(i)} g + p^{(i)} \;\oplus\; \mathcal{D}^{(i)}.$$
 
@@ -231,9 +233,9 @@ axes[0].legend(loc="upper left")
 plt.show()
 
 # %% [markdown]
-# Left: the sampled successors. Right: the polygons that contain them. The set is not convex, and it has an inner
-# structure: each piece is the image of one cell. Where a region boundary runs through $\mathcal{G}$, the image is
-# split. Samples never reach the corners of the set, so no proof can rest on them.
+# Left: the sampled successors. Right: the polygons that contain them. The set is not convex. It consists of pieces, and
+# each piece is the image of one cell. Where a region boundary runs through $\mathcal{G}$, the image is split. The
+# samples hardly ever come close to the corners of the set, so a proof cannot be based on them.
 #
 # ## 3. The outer approximation by a template
 #
@@ -244,8 +246,8 @@ plt.show()
 #   = \{x : C x \le h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}(C)\}
 #   \supseteq \mathcal{R}_1^{\mathcal{D}}(\mathcal{F}).$$
 #
-# It is the smallest such set with these facet normals: every facet touches the reachable set. More rows cut off more
-# corners.
+# It is the smallest set with these facet normals that contains the reachable set: every facet touches the reachable
+# set. Additional rows cut off additional corners.
 
 
 # %% tags=["nbval-check-output"]
@@ -268,9 +270,9 @@ plt.show()
 
 # %% [markdown]
 # The black outline is $\overline{\mathcal{R}}_1^{\mathcal{D}}(\mathcal{G})$, and the blue area is the reachable set
-# itself. From 4 to 8 directions the outline loses its empty corners. With 16 directions it is close to the convex hull.
-# No template can be smaller than the convex hull, so the gaps between the pieces remain inside for every $C$. Each row
-# costs one MILP.
+# itself. With 8 directions instead of 4, the outline no longer has the large empty corners. With 16 directions it is
+# close to the convex hull. A template set always contains the convex hull, so the gaps between the pieces remain inside
+# for every $C$. Each row requires one MILP.
 #
 # ## 4. Several steps: one large MILP, or many small ones
 #
@@ -284,15 +286,15 @@ for k in (1, 2, 3):
     print(f"k = {k}: {binaries:3d} binary variables in the model; k N_1 = {k * N_1}")
 
 # %% [markdown]
-# In the worst case each additional binary doubles the work. The alternative is to take $k$ single steps, and to
-# over-approximate after each (eq. (19), ROverOver):
+# In the worst case each additional binary doubles the computation time. The alternative is to take $k$ single steps,
+# and to over-approximate after each step (eq. (19), ROverOver):
 #
 # $$\overline{\mathcal{R}}_k^{\mathcal{D}}(\mathcal{F}) =
 #   \underbrace{\overline{\mathcal{R}}_1^{\mathcal{D}}(\dots\overline{\mathcal{R}}_1^{\mathcal{D}}}_{k\text{ times}}
 #   (\mathcal{F})) \supseteq \mathcal{R}_k^{\mathcal{D}}(\mathcal{F}).$$
 #
-# This needs only problems with $N_1$ binaries, but each step starts from a set that is already too large. How large is
-# the error? We compare along $v = (1, 0)$:
+# Each of these problems has only $N_1$ binaries, but from the second step on, each step starts from a set that is
+# already too large. How large is the error? We compare along $v = (1, 0)$:
 
 # %% tags=["nbval-check-output"]
 v_right = C[:1]
@@ -304,8 +306,9 @@ for k in (1, 2, 3):
     print(f"{k}   {large:8.3f}   {exact:8.3f}   {sequence[k].support(v_right)[0]:11.3f}")
 
 # %% [markdown]
-# For $k = 1$ the three values agree by definition. From $k = 2$ on the outer steps may give more than the exact set,
-# never less. The MILP and the exact cells stay equal. The next figure shows the same for all directions:
+# For $k = 1$ the three values agree by definition. From $k = 2$ on, the outer steps may give a larger value than the
+# exact set, but never a smaller one. The MILP and the exact cells agree for every $k$. The next figure shows the same
+# for all directions:
 
 # %%
 exact_pieces = [F]
@@ -325,10 +328,10 @@ plt.show()
 # %% [markdown]
 # Blue: the exact set $\mathcal{R}_k^{\mathcal{D}}(\mathcal{F})$. Black: the template set around it, from Lemma 2 with
 # $k$ steps. Red, dashed: $k$ outer steps. At $k = 1$ black and red coincide. The region boundary splits the image of
-# $\mathcal{F}$ into two separate parts. The outer step fills the gap between them with states that are not reachable,
-# and in the following steps these states have successors, too. So from $k = 2$ on the red set is larger.
+# $\mathcal{F}$ into two separate parts. The outer step fills the gap between them with states that are not reachable.
+# The following steps also propagate these states. So from $k = 2$ on the red set is larger.
 #
-# The exact set needs a larger problem. On most machines the following times grow by far more than $k$:
+# The exact set needs a larger problem. On most machines the computation time grows much faster than $k$:
 
 # %%
 for k in (1, 2, 3):
@@ -366,8 +369,8 @@ plt.show()
 step_viewer(draw_reach, len(long_sequence))
 
 # %% [markdown]
-# All dots stay in the red set at every step. The set moves to the origin and converges to a set around it. The next
-# notebooks study this limit: the terminal set.
+# All dots lie in the red set at every step. The sets move to the origin and converge to a set around it. Notebook 06
+# studies this limit: the terminal set.
 #
 # ## 5. Is a set RPI?
 #
@@ -378,7 +381,7 @@ step_viewer(draw_reach, len(long_sequence))
 # $$\mathcal{F} \text{ is RPI} \iff h_{\mathcal{R}_1^{\mathcal{D}}(\mathcal{F})}\big(H^{(\mathcal{F})}\big)
 #   \le h^{(\mathcal{F})}.$$
 #
-# No template is involved, so the answer is exact: yes, or no with a trajectory that shows it. We check three
+# No template is involved, so the test is exact. If the set is not RPI, a trajectory shows it. We check three
 # candidates: all of $\mathcal{X}$, the box $|x|_\infty \le 4$, and the safe set $\mathcal{F}_{\max}$ that notebook 06
 # computes.
 
@@ -392,8 +395,8 @@ for name, candidate in candidates.items():
 
 # %% [markdown]
 # A negative entry belongs to a facet that the image violates. `mr.check_rpi` does the same and returns a **witness**: a
-# state of the set, its input, the mode, and a disturbance, whose successor lies outside. Anyone can verify it with a
-# pocket calculator, regardless of how it was found.
+# state of the set, its input, the mode, a disturbance, and the successor, which lies outside the set. You can verify a
+# witness by hand, independently of how it was found.
 
 # %% tags=["nbval-check-output"]
 checks = {name: mr.check_rpi(loop, candidate) for name, candidate in candidates.items()}
@@ -427,8 +430,8 @@ plt.show()
 # from a state of the set to a successor outside. This refutes the claim. In the third panel the blue set lies within
 # the green outline: $\mathcal{F}_{\max}$ is proven to be RPI.
 #
-# There is a reason why the boxes fail. In mode 3, $x_2^+ = 0.491\,x_1 + 0.62\,x_2 + d_2$ does not depend on the input.
-# At the corner $(-r, -r)$ the smallest value is $-1.111\,r - 0.15 < -r$. So for every controller, no box
+# The boxes fail for the following reason. In mode 3, $x_2^+ = 0.491\,x_1 + 0.62\,x_2 + d_2$ does not depend on the
+# input. At the corner $(-r, -r)$ the smallest value is $-1.111\,r - 0.15 < -r$. So for every controller, no box
 # $|x|_\infty \le r$ is RPI. An RPI set must exclude this corner.
 
 # %% tags=["nbval-check-output"]
@@ -437,9 +440,9 @@ for r in (0.5, 2, 6, 10):
     print(f"r = {r}: {check.verdict}, margin along (0, -1): {check.margin[3]:.3f}")
 
 # %% [markdown]
-# The MILP engine reaches the same verdict without cells, and it also works for more than two states. A third verdict is
-# *unknown*: if a solver is stopped early, its bound may be too weak for a proof, and it may have found no
-# counterexample.
+# The MILP engine reaches the same verdict without cells, and it also works for more than two states. There is a third
+# verdict, *unknown*. If a solver is stopped early, its bound may be too weak for a proof, and it may have found no
+# counterexample either.
 
 # %% tags=["nbval-check-output"]
 for name, candidate in candidates.items():
@@ -451,14 +454,14 @@ for name, candidate in candidates.items():
 # - Eq. (14), MISysWithDis, adds one vector $d$ and one switched inequality per mode to the model of notebook 03. Boxes,
 #   segments and points are all described by rows $H^{(\mathcal{D}^{(i)})} d \le h^{(\mathcal{D}^{(i)})}$.
 # - Lemma 2 computes the support function of the $k$-step reachable set along $v$ by one MILP with $k N_1$ binaries.
-# - Outer steps need $N_1$ binaries each, for every $k$. They lose what a template cannot describe: nonconvex shapes and
-#   gaps.
-# - The RPI check loses nothing. It uses the facets of the set itself, and a "no" comes with a witness.
+# - Outer steps need $N_1$ binaries each, for every $k$. They over-approximate whatever a template cannot describe:
+#   nonconvex shapes and gaps.
+# - The RPI check is exact. It uses the facets of the set itself, and a refuted claim comes with a witness.
 #
 # ## On your own
 #
 # - Move $\mathcal{F}$ in section 4 away from the boundary $x_1 = 0$. Do black and red still differ at $k = 2$?
-# - Use `mr.directions(32)` in the outer steps. What becomes better, and what cannot?
+# - Use `mr.directions(32)` in the outer steps. Which errors become smaller, and which do not?
 # - Replace the disturbance by `loop.with_disturbance(segment.scale(0.1))`. Is $\mathcal{F}_{\max}$ still RPI?
 # - Exercises: in `exercises/ex04` you refute sets by hand, and compute the largest disturbance for which a set stays
 #   RPI.

@@ -17,10 +17,10 @@
 #
 # **What you will learn.** Why a piecewise-affine plant makes model predictive control (MPC) a mixed-integer problem.
 # Why the control law jumps, and how well a continuous network can approximate it. Why the loss uses the clipped output.
-# What "saturated exactly" means.
+# What it means that the output is saturated exactly.
 #
-# **What you need.** Notebook 02 (maxout networks), notebook 03 (the four-mode system), and some least squares. PyTorch
-# is used only through one function. "Run all" takes about half a minute, most of it training.
+# **What you need.** Notebook 02 (maxout networks), notebook 03 (the four-mode system), and the idea of least squares.
+# The notebook uses PyTorch only through one function. "Run all" takes about half a minute, most of it training.
 
 # %%
 import matplotlib.pyplot as plt
@@ -41,7 +41,7 @@ print(f"{data}; {len(system.modes)} modes")
 # %% [markdown]
 # ## 1. One optimal control problem, solved
 #
-# The network shall imitate an optimal controller. At every state $x$ this controller solves the problem (Sec. V.A)
+# The network imitates an optimal controller. At every state $x$ this controller solves the problem (Sec. V.A)
 #
 # $$\begin{aligned}
 # \min_{u(0), \dots, u(N-1)} \quad
@@ -53,7 +53,7 @@ print(f"{data}; {len(system.modes)} modes")
 # with $Q = P = I$, $R = 1$, $N = 10$, without disturbance, and applies the first input $u^*(x) = u(0)$. If the mode of
 # every step were known, this would be a small quadratic program (QP). The modes are not known, and there are $4^{10}$
 # mode sequences, so the problem is a mixed-integer QP. `solve_miqp` uses a best-first search over the sequences. The
-# QPs of partial sequences give lower bounds.
+# QPs of partial sequences give lower bounds on the optimal cost.
 
 # %% tags=["nbval-check-output"]
 starts = [(-7.3, 8.52), (5, 5), (-5, -5), (8, -6)]
@@ -75,8 +75,9 @@ legend_above(ax, 2)
 plt.show()
 
 # %% [markdown]
-# From each state, the ten optimal steps $x(0), \dots, x(10)$ jump through the regions to the origin. Of a million
-# sequences, a few dozen QPs suffice for each state. The last bound proves that no sequence is better.
+# From each state, the optimal trajectory $x(0), \dots, x(10)$ jumps between the regions and approaches the origin.
+# There are about a million mode sequences, but the search solves only a few dozen QPs per state. The final lower bound
+# proves that no other sequence has a smaller cost.
 #
 # Some states have no solution. In mode 3 the next $x_2$ is $0.491\,x_1 + 0.62\,x_2$, and no input can change it. Where
 # this value is below $-10$, the constraints are violated after one step:
@@ -121,7 +122,7 @@ plt.show()
 # Left: the law as a surface. Right: the law from above, with the samples as dots and the states without a solution as
 # crosses. Two plateaus at $u^* = -1$ (dark) and $u^* = +1$ (bright) cover most of the plane. Between them the law is
 # steep, and in places it **jumps**. Neighbouring samples that differ by more than 1 are not connected, so the surface
-# has a gap there. To see the law in the gap, we solve the problem on two fine lines through the plane:
+# has a gap there. To see the law near such a gap, we solve the problem at many points on two lines through the plane:
 
 # %% tags=["nbval-check-output"]
 x1 = np.linspace(-9, 9, 181)
@@ -132,11 +133,11 @@ print("x2 = -6: u* at x1 = -4.6, -4.4:", optimal[-6][[44, 46]].round(2))
 
 # %% [markdown]
 # At $x_2 = 5$ the law is $-1$ left of the border between modes 4 and 1, and $+1$ right of it. The plant jumps there, so
-# the optimal input changes its sign. The jump printed for $x_2 = -6$ lies *inside* the region of mode 3: on its two
-# sides different mode sequences of the following steps are optimal. We will compare the network with the law on both
-# lines.
+# the optimal input changes its sign. The jump printed for $x_2 = -6$ lies *inside* the region of mode 3. The reason: on
+# its two sides, different mode sequences are optimal for the following steps. We will compare the network with the law
+# on both lines.
 #
-# ## 3. Train the network, live
+# ## 3. Train the network in this notebook
 #
 # The paper's network for this case has $\ell = 3$ hidden layers of $w_i = 3$ neurons with $p_i = 3$ channels each
 # (eq. (6), NN, and eq. (8), maxout):
@@ -162,9 +163,9 @@ ax.grid(alpha=0.3)
 plt.show()
 
 # %% [markdown]
-# The error falls by about two orders of magnitude: fast at first, and slowly later, while the kinks of the network move
-# to the kinks of the law. At the end the learning rate goes to zero, and the curve is flat. Your digits may differ from
-# those stored here, because rounding differs between machines and 6000 steps amplify the differences.
+# The error falls by about two orders of magnitude. It falls fast at first. Later it falls slowly, while the kinks of
+# the network move to the kinks of the law. At the end the learning rate goes to zero, so the curve is flat. Your digits
+# may differ from those stored here, because rounding differs between machines and 6000 steps amplify the differences.
 #
 # ## 4. Compare the network with the data
 
@@ -192,7 +193,7 @@ print(f"{100 * (error < 0.05).mean():.0f} % of the samples are off by less than 
 
 # %% [markdown]
 # The network (left) has the same plateaus as the law. On the right nearly all samples are bright, i.e. their error is
-# small. The dark dots lie where the law jumps. On the two lines:
+# small. The dark dots lie where the law jumps. The next figure compares both on the two lines:
 
 # %%
 fig, axes = plt.subplots(1, 2, figsize=(8, 3.2), sharey=True, layout="constrained")
@@ -207,20 +208,20 @@ plt.show()
 # %% [markdown]
 # The optimal law (dots) jumps. The network (line) is continuous, so it connects the levels by steep ramps. Training can
 # make a ramp steeper, but next to a jump the error stays large on at least one side (exercise 05 asks how large). At a
-# sample on the ramp the error can be as large as 2. This is not a failure. What matters is not whether $\Phi$ equals
-# $u^*$, but whether the *loop with $\Phi$* is safe. The sets of the other notebooks decide this.
+# sample on the ramp the error can be as large as 2. This is not a failure. $\Phi$ need not equal $u^*$; the *closed
+# loop with $\Phi$* must be safe. The sets of the other notebooks decide this.
 #
-# ## 5. Saturate it exactly
+# ## 5. Saturate the network exactly
 #
 # The analysis assumes $\Phi(x) \in \mathcal{U}$ for all $x \in \mathcal{X}$ (Sec. II.A). Training achieves this only
-# approximately. But the projection onto a box is itself a small maxout network,
+# approximately. But the projection onto an interval is itself a small maxout network,
 #
 # $$\min\{\max\{z, \underline{u}\}, \overline{u}\} = -\max\{-v,\, -\overline{u}\}
 #   \quad\text{with}\quad v = \max\{z,\, \underline{u}\}.$$
 #
-# It has two layers with two channels. `train` has already added them. To see the network before the projection, we
-# remove them. In the first of the two layers, one channel is the limit $\underline{u}$, and the other *is* the raw
-# output $z$.
+# It has two layers, each with one neuron of two channels. `train` has already added them. To see the network before the
+# projection, we remove them. In the first of the two layers, one channel is the limit $\underline{u}$, and the other is
+# the raw output $z$.
 
 # %%
 before, raise_up, cut_off = live.hidden[:-2], *live.hidden[-2:]
@@ -244,14 +245,14 @@ axes[2].legend(loc="upper left", fontsize="small")
 plt.show()
 
 # %% [markdown]
-# Left: the raw output goes far beyond $\pm 1$. The black contours mark where it crosses the limits. Middle: the same
-# network with the two layers. It is constant outside the contours and unchanged between them. Right: both along the
-# line. The dashed curve leaves the grey band $\mathcal{U}$. The solid curve equals it inside the band and stays at the
-# limit elsewhere.
+# Left: the raw output goes far beyond $\pm 1$. The black contours mark where it crosses the limits. Middle: the output
+# of the same network with the two layers. It is constant outside the contours and unchanged between them. Right: both
+# outputs along a line. The dashed curve (raw) leaves the grey band $\mathcal{U}$. The solid curve (saturated) equals it
+# inside the band and stays at the limit elsewhere.
 #
-# "Exactly" is meant literally. The channels for the limits have weight 0 and the limit as their bias, and the following
-# layers only multiply by $-1$. So a saturated output is the float $1.0$, not $0.9999$ or $1.0000001$. We test it for a
-# million values with the shipped network, which the rest of the course uses:
+# There is not even a rounding error. The channels for the limits have weight 0 and the limit as their bias, and the
+# following layers only multiply by $-1$. So a saturated output is the float $1.0$, not $0.9999$ or $1.0000001$. We test
+# it for a million values with the shipped network, which the rest of the course uses:
 
 # %% tags=["nbval-check-output"]
 shipped = case.network
@@ -263,8 +264,9 @@ print("largest difference from clip(z):", np.abs(phi - np.clip(z, -1, 1)).max().
 print("outputs outside U:", int((np.abs(phi) > 1).sum()), " smallest:", phi.min(), " largest:", phi.max())
 
 # %% [markdown]
-# A million samples are still no proof for all of $\mathcal{X}$. The library does not rely on them. Every engine checks
-# the assumption itself, at the vertices of all affine pieces or by a MILP, and rejects a loop with the raw network:
+# A million samples do not prove the claim for all of $\mathcal{X}$. Every engine of the library therefore checks the
+# assumption itself, by interval arithmetic, at the vertices of all affine pieces, or by a MILP. It rejects a loop with
+# the raw network:
 
 # %%
 try:
@@ -275,8 +277,9 @@ except ValueError as refusal:
 # %% [markdown]
 # ## 6. Why the loss is clipped
 #
-# Two thirds of the optimal inputs lie on a limit. There the unsaturated output may take *any* value beyond the limit,
-# because the projection corrects it. There are three candidates for the loss of one sample, with $z$ the raw output:
+# Two thirds of the optimal inputs lie on a limit. At these samples the unsaturated output may take *any* value beyond
+# the limit, because the projection corrects it. There are three candidates for the loss of one sample, with $z$ the raw
+# output:
 #
 # $$(z - u^*)^2, \qquad (\mathrm{clip}(z) - u^*)^2, \qquad
 #   (\mathrm{clip}(z) + \lambda\,(z - \mathrm{clip}(z)) - u^*)^2.$$
@@ -306,8 +309,8 @@ plt.show()
 # %% [markdown]
 # Left: for $z > 1$ the plain loss rises again, while the other two stay at (about) zero. Right, on a logarithmic scale:
 # for $z < -1$ the gradient of the clipped loss is zero (its line leaves the figure), so such a sample could never
-# correct its output. The leaky loss has a gradient of a hundredth of the size. `train` uses the leaky loss. Does it
-# matter? We train with limits so wide that nothing is clipped, and saturate afterwards:
+# correct its output. The leaky loss keeps one hundredth of the gradient. `train` uses the leaky loss. Does this make a
+# difference? We train with limits so wide that nothing is clipped, and saturate afterwards:
 
 # %%
 options = {"layers": 3, "width": 3, "pool": 3, "steps": 3000, "progress": False}
@@ -320,14 +323,14 @@ for seed in (0, 2):
 
 # %% [markdown]
 # The leaky clipped loss usually gives the smaller error, by up to a factor of two. The plain loss penalises outputs
-# beyond the limits. So the network needs kinks to keep the plateaus flat, and with nine neurons it has only a few. We
-# say "usually" because training is not convex: with other seeds the order may change. The seed study in notebook 10
-# examines how much the seed affects the *sets*.
+# beyond the limits. So the network must use kinks to keep the plateaus flat, and with nine neurons it has only a few
+# kinks. We say "usually" because training is not convex: with other seeds the order may change. The seed study in
+# notebook 10 examines how much the seed affects the *sets*.
 #
 # ## 7. The network for the rest of the course
 #
-# Training on another machine gives another network, but the sets of a paper must not depend on the machine. So the
-# project ships one network per case, trained by the same function on the same data:
+# Training on another machine gives another network. To make the results reproducible, the project ships one network per
+# case, trained by the same function on the same data:
 
 # %% tags=["nbval-check-output"]
 off = np.abs(shipped(data.states) - data.inputs)[:, 0]
@@ -351,7 +354,7 @@ print(f"{100 * (off < 0.05).mean():.0f} % of the samples are off by less than 0.
 # - Build `mr.case_study("pwa", live)` and compute `mr.safe_set(study.loop, study.safe_directions)`. Is there a safe set
 #   for *your* network?
 # - Run the optimal controller itself: apply $u^*$ step by step with random disturbances, and compare with the network.
-# - Exercises: in `exercises/ex05` you build the projection, the loss, and the infeasible corner yourself.
+# - Exercises: in `exercises/ex05` you implement the projection and the loss, and derive the infeasible corner.
 #
 # ## Further reading
 #

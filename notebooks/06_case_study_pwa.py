@@ -9,21 +9,21 @@
 # ---
 
 # %% [markdown]
-# # Certify the four-mode loop, set by set
+# # Certify the four-mode loop step by step
 #
 # The plant is piecewise affine with four modes. A disturbance of up to 0.15 acts on each state, and a small maxout
-# network closes the loop. Is the loop safe, and where do its trajectories end? This notebook answers both questions as
-# the paper's first case study does, one set after the other.
+# network closes the loop. Is the loop safe, and where do its trajectories end? This notebook answers both questions
+# with the paper's method. It is the first case study of the paper.
 #
 # **What you will do.** Write the two iterations of the method in a few lines each, look at every set that they produce,
 # and redraw Figures 1 and 2 of the paper.
 #
 # **What you will learn.**
 # - how Prop. 3, Fmax, finds a safe set, which sides of it depend on the network, and what a failure looks like;
-# - how the iteration of eq. (24), RminOver, shrinks it to a terminal set, and when eq. (25), TerminationFmin, stops the
-#   iteration;
+# - how the iteration of eq. (24), RminOver, shrinks the safe set to a terminal set, and when eq. (25), TerminationFmin,
+#   stops the iteration;
 # - why two disturbed trajectories that start in the same state can separate suddenly;
-# - what Theorem 1 means in numbers, and what its proof needs.
+# - how large the margin of Theorem 1 is, and what its proof needs.
 #
 # **What you need.** Notebooks 03 and 04 (regions, one-step sets). The notebook uses a shipped network; notebook 05
 # trains a similar one. "Run all" takes about 20 seconds.
@@ -65,20 +65,21 @@ plotting.label_axes(ax, X, r"nominal loop, $x^+ - x$ (arrows scaled by 1/8)")
 plt.show()
 
 # %% [markdown]
-# **What to see.** Neighbouring arrows differ abruptly across the axes, because the map jumps at the region boundaries.
-# Section 5 shows the consequences.
+# **What to see.** The arrows change abruptly across the axes, because the map jumps at the region boundaries. Section 5
+# shows the consequences.
 
 # %% [markdown]
 # ## 2. A safe set, iteration by iteration
 #
-# Start with the whole set $\mathcal{X}$ and keep what one step can reach (eq. (21), Fk):
+# Start with the whole set $\mathcal{X}$. In each iteration, keep the part of $\mathcal{X}$ that one step can reach
+# (eq. (21), Fk):
 #
 # $$\mathcal{F}_0 = \mathcal{X}, \qquad
 #   \mathcal{F}_{k+1} = \overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}_k) \cap \mathcal{X}.$$
 #
 # Here $\overline{\mathcal{R}}{}^{\mathcal{D}}_1(\mathcal{F}) = \{x : C x \le h(C)\}$ is the smallest set with the
-# normals $C$ that contains everything one step from $\mathcal{F}$ can reach (eq. (18), Rover1). With $C = (I, -I)$ the
-# sets are boxes. The first step by hand:
+# normals $C$ that contains all states reachable from $\mathcal{F}$ in one step (eq. (18), Rover1). With $C = (I, -I)$
+# the sets are boxes. We compute the first step by hand:
 
 # %% tags=["nbval-check-output"]
 image = mr.outer_step(loop, X, C_box)  # R_1-bar(F_0), eq. (18), Rover1
@@ -161,11 +162,11 @@ for (name, v), here in zip(limits.items(), F_1.support(C_box)):
     print(f"{name:>6}: any controller gives between {least:5.2f} and {most:5.2f}; this network {here:5.2f}")
 
 # %% [markdown]
-# **What to see.** *Top* and *bottom* follow from the modes and $\mathcal{X}$ alone: $8.37 + 0.15$, and the edge of
-# $\mathcal{X}$. The *left* side is as close to the origin as any controller allows. In the worst state $(0, -10)$ and
-# around it, the network applies the best input, full braking with $\Phi = +1$, so that $-8.15 + 1 - 0.15 = -7.30$. So
-# three sides agree with the paper's box $[-7.3, 8.91] \times [-10, 8.52]$ in every printed digit, for every network
-# that brakes there. The *right* side depends on the particular network.
+# **What to see.** The *top* side, $8.37 + 0.15$, and the *bottom* side, the edge of $\mathcal{X}$, follow from the
+# modes and $\mathcal{X}$ alone. The *left* side is as close to the origin as any controller allows. At the worst state
+# $(0, -10)$ and near it, the network applies the best input, $\Phi = +1$ (full braking), so that
+# $-8.15 + 1 - 0.15 = -7.30$. So for every network that brakes fully there, three sides agree with the paper's box
+# $[-7.3, 8.91] \times [-10, 8.52]$ in every printed digit. The *right* side depends on the particular network.
 
 # %% tags=["nbval-check-output"]
 print("Phi(0, -10) =", loop.network(np.array([0.0, -10.0])).round(6))
@@ -173,8 +174,8 @@ print("Phi(0, -10) =", loop.network(np.array([0.0, -10.0])).round(6))
 # %% [markdown]
 # ### When it takes longer, and when it fails
 #
-# One iteration shows little. Increase the disturbance to $\|d\|_\infty \le 0.5$, and compare the boxes with sets of
-# eight directions, $C_i = (\cos\frac{\pi}{4}(i-1), \; \sin\frac{\pi}{4}(i-1))$.
+# A single iteration is not a typical example. We increase the disturbance to $\|d\|_\infty \le 0.5$, and compare the
+# boxes with sets of eight directions, $C_i = (\cos\frac{\pi}{4}(i-1), \; \sin\frac{\pi}{4}(i-1))$.
 
 # %% tags=["nbval-check-output"]
 rough = loop.with_disturbance(mr.Polytope.box([-0.5, -0.5], [0.5, 0.5]))
@@ -184,8 +185,8 @@ for name, C in (("8 directions", C_eight), ("box", C_box)):
     print("   ", attempt.reason.split(":")[0])
 
 # %% [markdown]
-# With boxes the sequence reaches a set at which it stops, $\mathcal{F}_{k+1} = \mathcal{F}_k$, although one step can
-# still leave $\mathcal{X}$. All sets of the sequence:
+# With boxes the sequence becomes constant, $\mathcal{F}_{k+1} = \mathcal{F}_k$, although one step from $\mathcal{F}_k$
+# can still leave $\mathcal{X}$. The next figure shows eight sets of the sequence:
 
 # %%
 failed = mr.safe_set(rough, C_box)
@@ -198,7 +199,7 @@ plt.show()
 # %% [markdown]
 # **What to see.** Each panel shows one set (blue) over its predecessors (grey). The upper and the right side move
 # inwards slowly. The lower and the left side do not move after the first step. The slider below shows every step with
-# its image. It needs a running kernel. Without a kernel, use the panels above.
+# its image. It needs a running kernel; without one, use the panels above.
 
 # %%
 failed_images = [mr.outer_step(rough, F, C_box) for F in failed.history]
@@ -206,7 +207,7 @@ step_viewer(lambda ax, k: draw_iteration(ax, k, failed.history, failed_images), 
 
 # %% [markdown]
 # The lower left *corner* of the box causes the failure: one step from there may lead below $x_2 = -10$. The witness
-# shows this step: a state, its input, its mode, a disturbance, and the successor. But does any trajectory reach that
+# shows this step: a state, its input, its mode, a disturbance, and the successor. But can a trajectory reach that
 # corner? A box cannot exclude it, because it bounds $x_1$ and $x_2$ separately.
 
 # %%
@@ -231,8 +232,8 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** Eight directions cut that corner off. The same loop is then proven safe for more than three times the
-# paper's disturbance. If one template fails, this says nothing about the loop. Exercise 06 asks how large the
-# disturbance may become, and for which template.
+# paper's disturbance. So a failure with one template does not mean that the loop is unsafe. Exercise 06 asks for the
+# largest disturbance that boxes tolerate, and for a better template with only one additional row.
 
 # %% [markdown]
 # ## 3. From the safe set to a terminal set
@@ -245,13 +246,15 @@ plt.show()
 #   \overline{\mathcal{R}}_{\min} := \overline{\mathcal{R}}_{\bar k}.$$
 #
 # Each of these sets is RPI, contains the next one, and contains every trajectory from step $k$ on. They converge to a
-# limit set, which is typically not reached in finitely many steps. Eq. (25), TerminationFmin, decides when to stop:
+# limit set, which is typically not reached in finitely many steps. Eq. (25), TerminationFmin, is the stopping
+# criterion:
 #
 # $$\frac{1}{1 + \bar\epsilon}\,\overline{\mathcal{R}}_{\bar k} \subseteq \overline{\mathcal{R}}{}^{\mathcal{D}}_1
 #   \!\left(\frac{1}{1 + \bar\epsilon}\,\overline{\mathcal{R}}_{\bar k}\right).$$
 #
-# A set that lies in its own one-step set also lies in all later ones. So if the scaled copy has this property, the
-# limit set lies between the copy and $\overline{\mathcal{R}}_{\bar k}$. By hand:
+# A set that lies in its own one-step set also lies in all later ones. So if the scaled set has this property, the limit
+# set contains the scaled set and is contained in $\overline{\mathcal{R}}_{\bar k}$. We first write the iteration by
+# hand:
 
 
 # %%
@@ -282,9 +285,9 @@ for ax in axes.flat:
 plt.show()
 
 # %% [markdown]
-# **What to see.** The first step cuts off two whole corners of the box. After it the sets become rounder and shrink a
-# little in every step. After about twenty steps the changes are hardly visible at this scale. The slider (running
-# kernel) shows all sets, from step 20 on at a larger scale.
+# **What to see.** The first step cuts off two corners of the box. The following sets become rounder and shrink a little
+# in every step. After about twenty steps the changes are hardly visible at this scale. The slider shows all sets, from
+# step 20 on at a larger scale; it needs a running kernel.
 
 
 # %%
@@ -298,9 +301,9 @@ def draw_step(ax, k):
 step_viewer(draw_step, len(terminal.history))
 
 # %% [markdown]
-# The next figure shows the convergence in numbers. Left: the supports $h_{\overline{\mathcal{R}}_k}(C_i)$. Right: the
-# violation of eq. (25), TerminationFmin, $\max_i h_S(C_i) - h_{\overline{\mathcal{R}}_1(S)}(C_i)$ with
-# $S = \overline{\mathcal{R}}_k / (1 + \bar\epsilon)$.
+# The next figure shows the convergence in numbers. Left: the values of the support function
+# $h_{\overline{\mathcal{R}}_k}(C_i)$. Right: the violation of eq. (25), TerminationFmin,
+# $\max_i h_S(C_i) - h_{\overline{\mathcal{R}}_1(S)}(C_i)$ with $S = \overline{\mathcal{R}}_k / (1 + \bar\epsilon)$.
 
 # %%
 supports = np.array([R.support(C_eight) for R in terminal.history])
@@ -318,9 +321,10 @@ right.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** After about 25 steps the curves on the left look constant. The sets still shrink, by less and less;
-# in the end the change decreases by about the same factor per step. Right: the violation falls below zero at $\bar k$
-# (no dot there). A smaller $\bar\epsilon$ needs more steps but does not change the picture.
+# **What to see.** After about 25 steps the curves on the left look constant. The sets still shrink, but by a smaller
+# amount in each step. Near the end the change decreases by about the same factor per step. Right: the violation falls
+# below zero at $\bar k$ (no dot there). With a smaller $\bar\epsilon$ the iteration needs more steps, but the curves
+# look the same.
 #
 # Figure 1 of the paper, for this network:
 
@@ -335,10 +339,10 @@ plt.show()
 # and stays there.
 
 # %% [markdown]
-# ## 4. Trajectories: try to refute it
+# ## 4. Test the proof with trajectories
 #
-# We test the proof by simulation. We simulate 20,000 trajectories that start anywhere in $\mathcal{F}_{\max}$. The
-# disturbances are random *corners* of $\mathcal{D}$.
+# We test the proof by simulation. We simulate 20,000 trajectories with random initial states in $\mathcal{F}_{\max}$.
+# The disturbances are random *vertices* of $\mathcal{D}$.
 
 # %% tags=["nbval-check-output"]
 rng = np.random.default_rng(6)
@@ -363,15 +367,15 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** Both bundles stay inside $\mathcal{F}_{\max}$ and end in the small red set. They enter it long before
-# $\bar k$: the remaining steps are needed for the convergence of the *sets*, not of the trajectories. One of the
-# bundles does not look like a tube: halfway, some of its lines leave the nominal trajectory (black).
+# step $\bar k$. The remaining steps are needed for the convergence of the *sets*, not of the trajectories. One of the
+# bundles is not a narrow tube: halfway, some of its trajectories separate from the nominal one (black).
 
 # %% [markdown]
 # ## 5. The jump phenomenon
 #
-# In which region is a disturbed trajectory, and in which region is the nominal one at the same step? We take the 100
+# At each step, we compare the region of a disturbed trajectory with the region of the nominal one. We take the 100
 # trajectories that start in the lower left corner. We count how many of them are in another region than the nominal
-# state, and compute the largest distance from it.
+# state, and compute their largest distance from the nominal state.
 
 
 # %% tags=["nbval-check-output"]
@@ -405,24 +409,25 @@ plt.show()
 # %% [markdown]
 # **What to see.** Left: the states at one step form a single small cloud across a region boundary (grey line).
 # Triangles mark states that are not in the region of the nominal state (star). Right, one step later: there are two
-# clouds, several units apart. The table above gives the largest distance before and after this step. Small disturbances
-# cause the distance before it; the *jump of the map* causes the rest. A linear error analysis around the nominal
-# trajectory would miss the jump. The reachable set (black) includes it, because the maximum is taken over every mode
-# whose closed region meets the set. The reachable set is convex, so it also covers the gap between the clouds.
+# clouds, several units apart. The table above gives the largest distance before and after this step. The small
+# disturbances cause the distance before this step. The *jump of the map* causes the rest. A linear error analysis
+# around the nominal trajectory would miss the jump. The reachable set (black) includes it, because the maximum is taken
+# over every mode whose closed region meets the set. The reachable set is convex, so it also covers the gap between the
+# clouds.
 #
 # Near the origin all four regions meet, so most disturbed states are in another region than the nominal state. This is
 # harmless: the four maps agree at the origin, so the jumps near it are small.
 
 # %% [markdown]
-# ## 6. Theorem 1 in numbers
+# ## 6. The margin of Theorem 1
 #
-# Theorem 1 (Theorem 4 in the preprint's numbering, BoundedStab) requires an $\alpha > 1$ with (eq. (26), StabCondFmin)
+# Theorem 1 (label BoundedStab, Theorem 4 in the preprint) requires an $\alpha > 1$ with (eq. (26), StabCondFmin)
 #
 # $$\alpha\,\overline{\mathcal{R}}_{\bar k} \subseteq \overline{\mathcal{R}}_{\bar k - 1}.$$
 #
 # So the last step must have shrunk the set in *every* direction. Both sets have the normals $C$, so the largest such
-# $\alpha$ is a ratio of supports. The tube around $\overline{\mathcal{R}}_{\min}$ in the proof has the radius
-# $\delta_{\max}$:
+# $\alpha$ is the smallest ratio of their support functions. The tube around $\overline{\mathcal{R}}_{\min}$ in the
+# proof has the radius $\delta_{\max}$:
 #
 # $$\alpha_k = \min_i \frac{h_{\overline{\mathcal{R}}_{k-1}}(C_i)}{h_{\overline{\mathcal{R}}_k}(C_i)}, \qquad
 #   \delta_{\max} = (\alpha - 1) \min_i h_{\overline{\mathcal{R}}_{\bar k}}(C_i).$$
@@ -442,16 +447,17 @@ print(f"delta_max = {delta_max:.2g}")
 print(f"Theorem 1 applies at {len(terminal.stable_steps)} of the {terminal.steps} steps")
 
 # %% [markdown]
-# The margin is necessarily small, because a sequence that has nearly converged hardly shrinks any more. How does
-# $\alpha_k$ develop? And what does the proof use? It uses
+# The margin is necessarily small, because a sequence that has nearly converged hardly shrinks any more. The next figure
+# shows $\alpha_k$ for all steps. It also shows a second factor, which is never smaller and follows from the proof of
+# the theorem. The proof uses
 #
 # $$\overline{\mathcal{R}}_1(\alpha\,\overline{\mathcal{R}}_k) \subseteq
 #   \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_{k-1}) = \overline{\mathcal{R}}_k,$$
 #
-# and of this chain only that the first set lies in the last. Eq. (26), StabCondFmin, is sufficient for this inclusion,
+# but it needs only that the first set lies in the last set. Eq. (26), StabCondFmin, is sufficient for this inclusion,
 # but not necessary. If a facet *does not move*,
 # $h_{\overline{\mathcal{R}}_k}(C_i) = h_{\overline{\mathcal{R}}_{k-1}}(C_i)$, then $\alpha_k = 1$ exactly, and the
-# theorem does not apply. One step from a slightly larger set may still lead into $\overline{\mathcal{R}}_k$.
+# theorem does not apply. But one step from a slightly larger set may still lead into $\overline{\mathcal{R}}_k$.
 # `mr.contraction` computes the largest $\alpha$ with
 # $\mathcal{R}_1(\alpha\,\overline{\mathcal{R}}_k) \subseteq \overline{\mathcal{R}}_k$ by bisection.
 
@@ -474,14 +480,14 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** The blue curve rises and then falls. For a while the sets shrink in every direction by several
-# percent. Then they shrink more and more slowly, along a straight line in this scale. Where a facet does not move (red
-# cross), the blue value is missing and the orange one is not. Towards $\bar k$ both fall alike. The paper's number
-# (dotted) is of the same kind: in that sequence a contraction of about a millionth was left. This is about the
-# feasibility tolerance of a MILP solver. Only sets that are computed more precisely can distinguish such an $\alpha$
-# from 1.
+# percent. Then the contraction decreases exponentially (a straight line on the logarithmic scale). Where a facet does
+# not move (red cross), there is no blue value, but there is an orange one. Towards $\bar k$ both curves fall in the
+# same way. The paper's $\alpha - 1$ (dotted) is small for the same reason. It is about a millionth, which is about the
+# feasibility tolerance of a MILP solver. To distinguish such an $\alpha$ from 1, the sets must be computed more
+# accurately.
 #
-# For a *robust* statement of stability, take an earlier $k$. All these sets are RPI and attract all of
-# $\mathcal{F}_{\max}$, and a larger set has a wider tube.
+# For a stability result with a larger margin, take an earlier $k$. All these sets are RPI, and every trajectory from
+# $\mathcal{F}_{\max}$ enters them. An earlier set is larger, but its tube can be much wider.
 
 # %% tags=["nbval-check-output"]
 best = int(np.argmax(shrink)) + 1
@@ -493,10 +499,10 @@ print("contraction is never below alpha:", (direct >= shrink - 1e-8).all())
 # %% [markdown]
 # ## 7. The scaled minimal RPI set
 #
-# For linear systems one usually proceeds the other way. The sets start from the origin and *grow*,
-# $\underline{\mathcal{R}}_{\min} = (1 + \underline\epsilon)\,\overline{\mathcal{R}}_{\underline k}(\mathbf 0)$, where
-# $\underline k$ is the first step at which this set is RPI. For a PWA system, trajectories from $\mathcal{F}_{\max}$
-# need not reach this set; another attractor may keep them. For this loop we can check it:
+# For linear systems one usually starts from the origin, and the sets *grow*: $\underline{\mathcal{R}}_{\min} = (1 +
+# \underline\epsilon)\,\overline{\mathcal{R}}_{\underline k}(\mathbf 0)$, where $\underline k$ is the first step at
+# which this set is RPI. For a PWA system, trajectories from $\mathcal{F}_{\max}$ need not reach this set; they may
+# converge to another attractor. For this loop we can check that they reach it:
 
 # %% tags=["nbval-check-output"]
 minimal = mr.scaled_minimal_set(loop, C_eight, epsilon=1e-3, safe=safe)
@@ -518,8 +524,8 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** The black sets grow from the origin and approach the outline of the blue set from inside. For this
-# loop the two constructions give nearly the same set, and $\mathcal{F}_{\max}$ does reach the scaled minimal set. The
-# construction from outside loses nothing here, and it needs no such check.
+# loop the two constructions give nearly the same set, and $\mathcal{F}_{\max}$ does reach the scaled minimal set. So
+# the construction from outside is not more conservative here, and it needs no such check.
 
 # %% [markdown]
 # ## 8. The paper's numbers beside ours
@@ -536,29 +542,29 @@ for name, paper, here in rows:
     print(f"{name:20} paper {paper!s:>15}   here {here!s:>15}")
 
 # %% [markdown]
-# The differences depend on the trained network, and the paper's network is not published. Notebook 10 examines for many
-# networks how typical such numbers are.
+# The differences depend on the trained network, and the paper's network is not published. Notebook 10 compares these
+# numbers for many trained networks.
 #
 # ## What you saw
 #
-# - The iteration of Prop. 3, Fmax, is a loop of two lines. Its stopping test,
-#   $\overline{\mathcal{R}}_1(\mathcal{F}_k) \subseteq \mathcal{X}$, is exact for the sequence. Two sides of
+# - The iteration of Prop. 3, Fmax, is a loop of two lines. It stops when
+#   $\overline{\mathcal{R}}_1(\mathcal{F}_k) \subseteq \mathcal{X}$, because $\mathcal{F}_k$ is then RPI. Two sides of
 #   $\mathcal{F}_{\max}$ do not depend on the network here.
 # - One template can fail where another succeeds. The witness shows at which state.
 # - Eq. (25), TerminationFmin, bounds the limit set from inside and outside. The sets keep shrinking long after the
 #   trajectories have arrived.
-# - Reachable sets include jumps at region boundaries. The nominal trajectory does not show them.
+# - Reachable sets include the jumps at region boundaries. The nominal trajectory alone does not show them.
 # - Theorem 1 needs $\alpha > 1$, and $\alpha - 1$ becomes very small near the limit. Its proof needs only a
 #   contraction, which exists even where facets do not move.
 #
 # ## On your own
 #
 # - Replace `C_eight` by `mr.directions(16)` or `(32)` in section 3. How much smaller does the terminal set become?
-# - Take `epsilon=1e-2` and `1e-5`. How does $\bar k$ depend on it, and why roughly logarithmically?
+# - Take `epsilon=1e-2` and `1e-5`. How does $\bar k$ depend on it? Why is the dependence roughly logarithmic?
 # - Give the modes different disturbance sets (`loop.with_disturbance([D1, D2, D3, D4])`). Which mode matters for
 #   $\mathcal{F}_{\max}$, which for $\overline{\mathcal{R}}_{\min}$?
 # - Switch the controller off: `mr.MaxoutNetwork` with zero weights. What remains of the guarantee?
-# - Exercise set 06: the largest disturbance, a template of your own, two futures of one state.
+# - Exercise set 06: the largest disturbance, a template of your own, two different trajectories from one state.
 #
 # ## Further reading
 #

@@ -71,9 +71,9 @@ plt.show()
 #
 # $$\min_{A^{(i)}, B^{(i)}, p^{(i)}} \; \sum_{j} \big\| f(x_j, u_j) - A^{(i)} x_j - B^{(i)} u_j - p^{(i)} \big\|_2^2$$
 #
-# over points $(x_j, u_j)$ of a grid in $\mathcal{P}^{(i)}$. The paper does not state the grid. Ten points along each
-# axis of $(x, u)$, ends included, reproduce its number. We take the square to the right of the middle,
-# $[2, 6] \times [-2, 2]$:
+# over points $(x_j, u_j)$ of a grid in $\mathcal{P}^{(i)}$. The paper does not state the grid. A grid with ten points
+# along each axis of $(x, u)$, ends included, reproduces its number 0.1186. As an example we take the square to the
+# right of the middle, $[2, 6] \times [-2, 2]$:
 
 # %% tags=["nbval-check-output"]
 axes = [np.linspace(2, 6, 10), np.linspace(-2, 2, 10), np.linspace(-2, 2, 10)]
@@ -106,9 +106,9 @@ print(f"largest error on the grids of all nine regions: {fit.max_error:.6f}")
 # $$\min_{A, B, p} \; \max_{(x, u) \in \mathcal{P}^{(i)}} \big\| f(x, u) - A x - B u - p \big\|_\infty.$$
 #
 # On a grid this is a linear program ($\min t$ subject to $-t \le f_l(x_j, u_j) - \dots \le t$). Here we can also find
-# the solution by hand. Seen from the centre of a square, the quadratic term is $0.025 (\xi_1^2 + \xi_2^2)$ with
-# $|\xi_l| \le 2$. By symmetry, an affine map can match only a constant. The term ranges from 0 to 0.2, so the best
-# constant is 0.1, and the error is 0.1.
+# the solution by hand. Let $\xi$ be the state relative to the centre of a square. Up to an affine part, the quadratic
+# term is $0.025 (\xi_1^2 + \xi_2^2)$ with $|\xi_l| \le 2$. By symmetry, its best affine approximation is a constant.
+# The term ranges from 0 to 0.2, so the best constant is 0.1, and the error is 0.1.
 
 # %% tags=["nbval-check-output"]
 minimax = double_integrator_fit(method="minimax")
@@ -166,10 +166,10 @@ fig.colorbar(shown, label="$f_1 - f_{PWA,1} = f_2 - f_{PWA,2}$")
 plt.show()
 
 # %% [markdown]
-# **What to see.** The error has the same shape nine times. It is negative in the middle of every square and largest in
-# the corners, four of which meet at each inner crossing. (Contours below zero are dashed.) The error is continuous
-# here, because neighbouring parabolas are mirror images of each other; only its slope jumps. This is a coincidence of
-# equal squares. With unequal regions the fitted map itself jumps:
+# **What to see.** The error has the same shape in all nine regions. It is negative in the middle of every square and
+# largest in the corners, four of which meet at each inner crossing. (Contours below zero are dashed.) The error is
+# continuous here, because neighbouring parabolas are mirror images of each other; only its slope jumps. This holds only
+# because the squares are equal. With unequal regions the error itself jumps:
 
 # %%
 edges = [-6.0, -3.0, 1.0, 6.0]  # along x1, unequal
@@ -204,9 +204,9 @@ for points in (2, 3, 4, 6, 10, 20):
 
 # %% [markdown]
 # **What to see.** With 2 points per axis the fit interpolates all of them and reports an error of 0, while the true
-# error is 0.2. With 4 points the number is still too small. From 6 points on the largest error occurs in the corners of
-# the squares, which are grid points, and the number is right. So the paper's number is right, too. But nothing *on the
-# grid* distinguishes these cases.
+# error is 0.2. With 4 points the number is still too small. With 6 or more points the largest error occurs in the
+# corners of the squares, which are grid points, and the number is right. The paper's number is therefore right, too.
+# But the grid values alone do not show which number is right.
 #
 # ## 6. A proof by intervals
 #
@@ -308,7 +308,7 @@ for name, upper in bounds.items():
 
 # %% [markdown]
 # **What to see.** The second-order form needs only a few dozen pieces. Plain intervals reach the limit of 2000 pieces,
-# with many pieces around the maximum that *might* all contain it.
+# because many pieces around the maximum *might* contain it.
 #
 # This small program ignores rounding errors. `mr.prove_error` computes in *ball arithmetic* (midpoint and radius, where
 # the radius covers every rounding error) and rounds its result upward:
@@ -356,7 +356,8 @@ plt.show()
 # corners $(-, +)$ and $(+, -)$. Both boxes and the segment are *proven* to contain the error.
 #
 # Does it matter? For each set, we analyse the loop with the shipped network and compute safe and terminal sets. (We use
-# eight directions, and the terminal set about the equilibrium, which is not the origin here; see notebooks 09 and 10.)
+# eight directions. The stopping rule of the terminal set scales about the equilibrium, which is not the origin here;
+# see notebooks 09 and 10.)
 
 
 # %%
@@ -411,7 +412,7 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** On the left the difference is moderate. On the right the segment (dashed) gives a much thinner
-# terminal set, above all across the diagonal, because the segment has no extent along $(1, -1)$.
+# terminal set, especially across the diagonal, because the segment has no extent along $(1, -1)$.
 #
 # ## 8. What more regions gain
 #
@@ -455,8 +456,8 @@ for s in counts:
 
 # %% [markdown]
 # **What to see.** Coarse fits give no safe set, or give one only after many iterations. With finer fits the terminal
-# set shrinks with the error. More regions recover everything that the approximation loses. With the exact cells (two
-# states) this is cheap. For a mixed-integer solver each region adds one binary variable per step.
+# set shrinks with the error. So more regions reduce the effect of the approximation error. For two states the engine
+# `cells` handles many regions at little cost. For a mixed-integer solver each region adds one binary variable per step.
 #
 # ## What you saw
 #

@@ -15,8 +15,8 @@
 # network on the solutions. This time the plant is nonlinear, and more than a quarter of the states have no solution.
 # The network will be evaluated at these states nevertheless.
 #
-# **What you will do.** Solve the nonlinear problem live for some states. Look at the shipped data set. Train two 5x5
-# maxout networks live, and compare them where there is no data.
+# **What you will do.** Solve the nonlinear problem for some states. Look at the shipped data set. Train two 5x5 maxout
+# networks in the notebook, and compare them where there is no data.
 #
 # **What you will learn.**
 # - what nonlinear model predictive control (NMPC) computes, and what "feasible" means for its data;
@@ -87,10 +87,10 @@ right.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** All three plans begin with the full input (grey lines: $|u| \le 2$) and are close to the origin after
-# about six steps. For D the solver found no solution, although D does not look critical.
+# **What to see.** All three predicted trajectories begin with an input at its limit (grey lines: $|u| \le 2$) and are
+# close to the origin after about six steps. For D the solver found no solution, although D does not look critical.
 #
-# ## 2. The data set, and its gaps
+# ## 2. The data set and its gaps
 #
 # The paper uses a $30 \times 30$ grid over $\mathcal{X}$. The project ships the solutions. As a test, we solve the
 # problem again at some of these states.
@@ -161,10 +161,10 @@ plt.show()
 # %% [markdown]
 # **What to see.** Most of the plane is dark (full braking, $u^\ast = -2$) or bright ($u^\ast = 2$). The input varies
 # only in the narrow band between. The hatched corners have no data. Beyond the dashed red lines every input leads out
-# of $\mathcal{X}$ within one step. Between the black and the red line no plan was found either, but one step proves
-# nothing there. If these states leave $\mathcal{X}$ at all, they leave it later.
+# of $\mathcal{X}$ within one step. Between the black and the red line no plan was found either, but the argument about
+# one step does not apply there. If these states leave $\mathcal{X}$ at all, they need more than one step.
 #
-# ## 3. Train, live
+# ## 3. Train two networks
 #
 # A 5x5 maxout network has $\ell = 5$ hidden layers of $w_i = 5$ neurons with $p_i = 5$ channels each. Training
 # minimises over the weights $\theta$ the mean squared error of the *clipped* output over the data,
@@ -188,10 +188,10 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** The loss falls to about a ten-thousandth of the loss of the best constant. Your curves may differ
-# from the stored ones: another processor rounds differently, and training amplifies the differences.
+# **What to see.** The loss falls to about a ten-thousandth of the loss of the best constant controller. Your curves may
+# differ from the stored ones: another processor rounds differently, and training amplifies the differences.
 #
-# How many binaries does this network need in the mixed-integer model of notebook 02?
+# How many binary variables does this network need in the mixed-integer model of notebook 02?
 
 # %% tags=["nbval-check-output"]
 trained = sum(layer.weight.size + layer.bias.size for layer in shipped.hidden[:-2]) + 5 + 1
@@ -285,8 +285,8 @@ plt.show()
 # %% [markdown]
 # **What to see.** On the data (dots) the networks agree, except beyond $\pm 2$, where the loss hardly depends on the
 # output. In the hatched parts they differ, and the training data do not favour any of them. Where all outputs lie
-# beyond the thin lines at $\pm 2$, saturation makes them equal again. Where one output lies inside, the applied inputs
-# differ. This is *extrapolation*. How large is the difference over the whole plane?
+# beyond the thin lines at $\pm 2$, saturation makes them equal again. Where one output lies between these lines, the
+# applied inputs differ. This is *extrapolation*. How large is the difference over the whole plane?
 
 # %%
 for a, b in (("net 1", "net 2"), ("net 1", "shipped"), ("net 2", "shipped")):
@@ -295,8 +295,8 @@ for a, b in (("net 1", "net 2"), ("net 1", "shipped"), ("net 2", "shipped")):
     print(f"{a} and {b:7s} differ by up to {known:.2f} on the data, {unknown:.2f} at the states without data")
 
 # %% [markdown]
-# Which of the two numbers is larger depends on the seed. Run the training with other seeds to see both cases. Does it
-# matter? Beyond the red lines of section 2 no input helps:
+# Which of the two numbers is larger depends on the seed. Run the training with other seeds to see both cases. Do these
+# differences matter? Beyond the red lines of section 2 they do not, because no input keeps the state in $\mathcal{X}$:
 
 # %% tags=["nbval-check-output"]
 corner = data.infeasible[lost(data.infeasible)]
@@ -306,7 +306,8 @@ print("of these, kept in X by the shipped network:   ", int(X.contains(after).su
 
 # %% [markdown]
 # So no safe set can contain these states, for any controller. But the *search* for a safe set must deal with them,
-# because it begins with all of $\mathcal{X}$. The result of the search for the networks that you have just trained:
+# because it begins with all of $\mathcal{X}$. The next cell searches for a safe set for the two networks that you have
+# just trained:
 
 # %%
 for name, (network, _, _) in names.items():
@@ -341,5 +342,5 @@ for name, (network, _, _) in names.items():
 #   optimization and optimal control*, Mathematical Programming Computation 11, 2019.
 #
 # **Next:** notebook 09 finds the safe set and the terminal set of this loop, step by step. **Exercise:** set ex08:
-# states that no input can save, the cost by hand, a network of your own, and a controller that the data cannot
-# distinguish from ours.
+# states that no input keeps in $\mathcal{X}$, the cost by hand, a network of your own, and a controller that the data
+# cannot distinguish from the shipped one.

@@ -16,7 +16,7 @@
 # *nonlinear* one. This notebook is the paper's second case study and draws every set of it.
 #
 # **What you will do.** Iterate the safe set $\mathcal{F}_k$ and the terminal set $\overline{\mathcal{R}}_k$. Redraw
-# Figure 3. Test Lemma 5, RkNonlinear, on the plant. Check Theorem 2. Vary the error bound.
+# Figure 3. Test Lemma 5, RkNonlinear, by simulations of the plant. Check Theorem 2. Vary the error bound.
 #
 # **What you will learn.**
 # - why the safe set takes many iterations here, which facet delays the stopping rule, and which states cause the delay;
@@ -24,8 +24,8 @@
 # - how a proof about a disturbed PWA loop applies to a plant without disturbance;
 # - what a smaller or flatter error set gains.
 #
-# **What you need.** Notebooks 06 (the two iterations), 07 (the fit and its proven error) and 08 (the network, and where
-# it had no data). "Run all" takes about 20 seconds.
+# **What you need.** Notebooks 06 (the two iterations), 07 (the fit and its proven error) and 08 (the network, and the
+# states without training data). "Run all" takes about 20 seconds.
 
 # %%
 import matplotlib.pyplot as plt
@@ -53,7 +53,7 @@ print(case)
 # $$f(x, u) - f_{\text{PWA}}(x, u) \in \mathcal{D} \quad\text{for all } x \in \mathcal{X},\ u \in \mathcal{U}.$$
 #
 # Lemma 5, RkNonlinear, and Theorem 2 (Theorem 6 in the preprint's numbering, UUB) assume this. Notebook 07 has proven
-# it. The numbers again:
+# it with these numbers:
 
 # %% tags=["nbval-check-output"]
 print("largest error at the points of the fit:", round(case.fit.max_error, 4))
@@ -121,11 +121,11 @@ right.legend(fontsize="small")
 plt.show()
 
 # %% [markdown]
-# **What to see.** Right: after the first few steps, and until the end, only the side $x_1 = 6$ is violated. The others
-# hold early on (below the grey line). Left: the facet $C_1$ (→) stays at 6, because the intersection cuts the image
-# there in every step. The facets above and to the left keep shrinking.
+# **What to see.** Right: after the first few steps, and until the end, only the side $x_1 = 6$ is violated. The
+# constraints at the other sides are satisfied after a few steps (below the grey line). Left: the facet $C_1$ (→) stays
+# at 6, because the intersection cuts the image there in every step. The facets above and to the left keep shrinking.
 #
-# Which states leave $\mathcal{X}$ at $x_1 = 6$? The witnesses answer this. For each $k$ they give the state of
+# Which states leave $\mathcal{X}$ at $x_1 = 6$? The witnesses answer this. For each $k$ the witness is the state of
 # $\mathcal{F}_k$ whose image has the largest $x_1$.
 
 # %% tags=["nbval-check-output"]
@@ -138,8 +138,8 @@ for k in shown:
 
 # %% [markdown]
 # It is always the upper right corner of $\mathcal{F}_k$, on $x_1 = 6$. As long as the image exceeds $\mathcal{X}$, this
-# corner lies where the data set has no data. This is *not* a mistake of the network. It brakes fully, and notebook 08
-# has shown that no input can keep such states in $\mathcal{X}$. For the plant at $x_1 = 6$,
+# corner lies where the data set has no data. This is *not* a mistake of the network. It brakes with the full input, and
+# notebook 08 has shown that no input can keep such states in $\mathcal{X}$. For the plant at $x_1 = 6$,
 #
 # $$x_1^+ = 6 + x_2 + 0.5\,u + 0.025\,(36 + x_2^2) \le 6 \quad\text{with } u = -2
 #   \quad\Longleftrightarrow\quad x_2 + 0.025\, x_2^2 \le 0.1 .$$
@@ -149,10 +149,10 @@ highest = np.roots([0.025, 1, -0.1]).max()
 print(f"at x1 = 6 the plant can be kept in X only where x2 <= {highest:.3f}, whatever the controller")
 
 # %% [markdown]
-# So $\mathcal{F}_k$ cannot be RPI while it contains its upper right corner. Braking in that corner cannot remove it,
-# because $\mathcal{F}_{k+1}$ contains the states that are *reached*. The corner disappears only when no state leads
-# there, and none leads so close that the eight facets include the corner. Which states lead upwards? For each facet we
-# draw the step that attains it.
+# So $\mathcal{F}_k$ cannot be RPI while it contains such states in its upper right corner. What the network does in the
+# corner does not matter for this, because $\mathcal{F}_{k+1}$ encloses the states that are *reached*. The corner
+# disappears only when no step ends in it or so close to it that the polygon with eight facets contains it. Which steps
+# determine the upper facets? For each facet we draw the step that attains it.
 
 
 # %%
@@ -180,9 +180,9 @@ plt.show()
 # **What to see.** Green: $\mathcal{F}_k$. Dashed black: its image $\overline{\mathcal{R}}_1(\mathcal{F}_k)$. Dashed red
 # arrows leave $\mathcal{X}$. In the lower left panel the facets ↑, ↖ and ← are attained by arrows from the *left*. They
 # start in states with $x_1 < 0$, where the network accelerates strongly, with almost $u = 2$, and they overshoot to
-# $x_2 > 0$. The template has only eight directions. The facet ↑ must contain these states far on the left. It therefore
-# also contains the corner at $x_1 = 6$, whether or not any state leads there. The left side shrinks layer by layer, and
-# with it the corner.
+# $x_2 > 0$. The template has only eight directions. The half-plane of the facet ↑ must contain these successors far on
+# the left. It therefore also contains the corner at $x_1 = 6$, whether or not any step ends there. The left side
+# shrinks layer by layer, and with it the corner.
 #
 # We can test whether the template causes the delay. More directions remove the corner earlier:
 
@@ -197,9 +197,10 @@ step_viewer(draw_attaining, len(safe.history), size=(6.5, 4.0))
 # %% [markdown]
 # ## 3. The terminal set
 #
-# From $\mathcal{F}_{\max}$ on, $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_{k-1})$
-# shrinks to the set where the trajectories end (eq. (24), RminOver). Every $\overline{\mathcal{R}}_k$ is RPI. Eq. (25),
-# TerminationFmin, only determines when to stop: for $\overline\epsilon = 10^{-3}$, at the first $k$ with
+# Starting from $\mathcal{F}_{\max}$, the sequence
+# $\overline{\mathcal{R}}_k = \overline{\mathcal{R}}_1(\overline{\mathcal{R}}_{k-1})$ shrinks to the set where the
+# trajectories end (eq. (24), RminOver). Every $\overline{\mathcal{R}}_k$ is RPI. Eq. (25), TerminationFmin, only
+# determines when to stop: for $\overline\epsilon = 10^{-3}$, at the first $k$ with
 #
 # $$\mathcal{S} \subseteq \overline{\mathcal{R}}_1(\mathcal{S}), \qquad
 #   \mathcal{S} = c + \tfrac{1}{1 + \overline\epsilon}\, \big(\overline{\mathcal{R}}_k(\mathcal{F}_{\max}) - c\big).$$
@@ -249,10 +250,10 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# **What to see.** Once the trajectories have arrived, the excess falls by a constant factor per step: the contraction
-# of the loop. At the dotted lines it becomes negative, which a logarithmic axis cannot show. About the equilibrium this
-# happens a little earlier here, for a good reason. The sets converge around the equilibrium, so scaling
-# $\overline{\mathcal{R}}_k$ towards it shrinks the set evenly. About another point, above all one near the boundary of
+# **What to see.** Once the trajectories are near the equilibrium, the excess falls by a constant factor per step, the
+# contraction factor of the loop. At the dotted lines it becomes negative, which a logarithmic axis cannot show. About
+# the equilibrium this happens a little earlier here. The reason: the sets converge around the equilibrium, so scaling
+# $\overline{\mathcal{R}}_k$ towards it shrinks the set evenly. About another point, especially one near the boundary of
 # the sets, the test may fail for every $k$. Section 6 has examples.
 #
 # ## 4. Figure 3
@@ -283,8 +284,8 @@ print("it is there from step", int(np.argmax(terminal.set.contains(path))))
 
 # %% [markdown]
 # **What to see.** The red path of the plant stays within the small black sets around its states, and both end in the
-# hatched terminal set. Grey arrows: one step of the plant from many states (a quarter of its length). On the right they
-# point down and left, because the plant brakes.
+# hatched terminal set. Grey arrows: one step of the plant from many states, drawn at a quarter of its length. On the
+# right they point down and left, because the plant brakes.
 #
 # ## 5. What holds for the plant
 #
@@ -404,16 +405,17 @@ print("p differs by", np.unique(shifts.round(4)), "in every region and component
 
 # %% [markdown]
 # They differ by a constant in $p$, and the centre of the tight box differs from 0 by the same constant. So
-# $p^{(i)} + \mathcal{D}$ is the same set. The smaller number 0.1 needs no better fit; it suffices to bound the error
-# from both sides.
+# $p^{(i)} + \mathcal{D}$ is the same set. The smaller number 0.1 needs no other fit: it suffices to bound the error
+# separately from below and from above.
 #
 # The segment has no area, but $\overline{\mathcal{R}}_{\min}$ has, because the loop rotates the segments of earlier
 # steps before it adds the next one.
 #
 # ## What you saw
 #
-# - The iteration could not end before the upper right corner of $\mathcal{F}_k$ was removed, where no controller can
-#   help. The corner remained that long because of the eight directions, not because of the network's extrapolation.
+# - In the upper right corner of $\mathcal{F}_k$ no controller can keep the state in $\mathcal{X}$. The iteration could
+#   not end before this corner was removed. The corner remained that long because of the eight directions, not because
+#   of the network's extrapolation.
 # - Eq. (25), TerminationFmin, depends on a centre. The equilibrium is the natural one.
 # - Lemma 5, RkNonlinear, and Theorem 2 turn sets of a disturbed PWA loop into guarantees for the undisturbed plant. The
 #   approximation enlarges the terminal set, and a better error set reduces this effect.

@@ -140,8 +140,8 @@ for name in cases:
     print(f"{name}: cells {1000 * by_cells:.1f} ms, MILP {1000 * by_milp:.0f} ms for 8 directions")
 
 # %% [markdown]
-# Because of this speed, the earlier notebooks could iterate sets interactively. The drawback: these cells exist only
-# for two states, and their number grows quickly with the network. The MILP also works for $n > 2$.
+# Because of this speed, the earlier notebooks could iterate sets interactively. The drawback: the library computes
+# these cells only for two states, and their number grows quickly with the network. The MILP also works for $n > 2$.
 #
 # ### What the template adds
 #
@@ -177,9 +177,9 @@ for ax, (name, case) in zip(axes, cases.items()):
 plt.show()
 
 # %% [markdown]
-# Grey is the exact reachable set. It is not convex. In case 1 it has several arms, because the dynamics jump between
-# modes. The dashed polygon touches it in eight directions and fills the rest. This over-approximation is added in every
-# step of the paper's sequences. Section 4 shows how much it can matter.
+# Grey is the exact reachable set. It is not convex. In case 1 it has several arms, because the dynamics are
+# discontinuous between modes. The dashed polygon touches it in eight directions and fills the rest. This
+# over-approximation is added in every step of the paper's sequences. Section 4 shows how much it can matter.
 
 # %% [markdown]
 # ## 2 Why the stopping rule can fail
@@ -296,7 +296,8 @@ for z, found in about.items():
 # $z$ as centre the statement changes only a little:
 # $\overline{\mathcal{R}}_\infty \subseteq \overline{\mathcal{R}}_{\bar k}$ and
 # $\overline{\mathcal{R}}_{\bar k} \subseteq z + (1+\bar\epsilon)(\overline{\mathcal{R}}_\infty - z)$.
-# The equilibrium does not always help. A loop that jumps may have none, and then `centre="equilibrium"` reports this.
+# The equilibrium does not always help. A discontinuous loop may have none, and then `centre="equilibrium"` reports
+# this.
 
 # %% tags=["nbval-check-output"]
 for name in cases:
@@ -350,8 +351,9 @@ plt.show()
 
 # %% [markdown]
 # In the first steps some facet has not moved yet, and $\alpha = 1$. Near the end the facets stop moving one after the
-# other, and at the fixed point $\alpha$ is exactly 1 again. Theorem 1 holds between, and the terminal set should be
-# taken from there. The crosses are never below the dots: the inclusion that the proof needs holds a little more often.
+# other, and at the fixed point $\alpha$ is exactly 1 again. In between, Theorem 1 applies, and the terminal set should
+# be taken from this range of $k$. The crosses are never below the dots: the inclusion that the proof needs holds for a
+# few more $k$.
 
 # %% tags=["nbval-check-output"]
 window = to_rest.stable_steps
@@ -373,7 +375,8 @@ for name in cases:
 # Theorem 2 needs $f(x, u) - f_{\text{PWA}}(x, u) \in \mathcal{D}^{(i)}$. The paper takes the largest error and a
 # square, $\mathcal{D} = \{d : |d|_\infty \le 0.1186\}$. But the error of the double integrator is
 # $0.025\,(x_1^2 + x_2^2)$ minus its affine fit. It is **the same in both components**, and not symmetric about 0. So we
-# may take the box of the true range, or the *segment* along $(1, 1)$. Both are proven by the same fit.
+# may take the box of the true range, or the *segment* along $(1, 1)$. The bounds proven for the fit show that each of
+# them contains the error.
 
 # %% tags=["nbval-check-output"]
 fit = cases["double_integrator"].fit
@@ -426,11 +429,12 @@ plt.show()
 # costs nothing: the network, the fit and the theorem are the same. $\mathcal{F}_{\max}$ itself also becomes a little
 # *smaller*. It is not a maximal set: it is made of images of $\mathcal{X}$, and these shrink with $\mathcal{D}$.
 #
-# With the segment the stopping rule may also fail about the equilibrium (last column): across a segment
-# $h_{\mathcal{D}}(v) = 0$, and the bracket of section 2 has no margin left. The sequence converges nevertheless.
+# With the segment the stopping rule may also fail about the equilibrium (last column): in a direction $v$ across the
+# segment, $h_{\mathcal{D}}(v) = 0$, so the disturbance adds nothing to the bracket of section 2. The sequence converges
+# nevertheless.
 #
-# A minimax fit shifts $p$ to the middle of the error range. Its square is exactly the box above, shifted, so the two
-# give the same sets.
+# A minimax fit shifts $p$ to the middle of the error range. Its square error set is exactly the box above, shifted, so
+# the two give the same sets.
 
 # %% tags=["nbval-check-output"]
 minimax = double_integrator_fit(method="minimax", error="ball")
@@ -500,7 +504,8 @@ plt.show()
 # %% [markdown]
 # Case 1. A network that has a safe set usually has it after one iteration, as in the paper, and three of the four sides
 # of $\mathcal{F}_{\max}$ hardly depend on the network (notebook 06). The fourth side does: the paper's 8.91 lies well
-# within the range. So does $\bar k = 51$, between two groups of networks, one with fewer steps and one with more.
+# within the range. The paper's $\bar k = 51$ also lies within the range, between a group of networks with fewer steps
+# and a group with more.
 
 # %%
 name, paper = "double_integrator", CASES["double_integrator"].paper
@@ -523,7 +528,7 @@ plt.show()
 # %% [markdown]
 # Case 2. Here the paper's numbers are *not* typical of networks that are trained like ours. Its 19 iterations lie far
 # to the left of all of them, and its $\bar k = 20$ lies at the right end or beyond. (The paper prints no $\alpha$ for
-# this case.) Below we examine what changes the 19.
+# this case.) Below we examine what determines the number of iterations.
 #
 # The dotted lines are not a random sample. Of the networks that fit about as well as the best, `mireach` ships the one
 # whose numbers are closest to the paper's (`mireach.studies.seed_study.choose`).
@@ -565,15 +570,15 @@ for name in cases:
     print(f"  rank correlation of loss and {column} {rho:.2f}; the best loss of all: {ordered[0].verdict}")
 
 # %% [markdown]
-# Along the loss axis, dots and crosses mix. In case 2 the loss does not predict whether there is a safe set, and hardly
-# predicts how many iterations it takes. In case 1 the networks with the larger losses fail more often, but a small loss
-# is no guarantee; see the crosses on the left. The loss is an average over the data. A certificate concerns the worst
-# state, and part of $\mathcal{X}$ has no data.
+# Dots and crosses are mixed along the loss axis. In case 2 the loss does not predict whether there is a safe set, and
+# hardly predicts how many iterations it takes. In case 1 the networks with the larger losses fail more often, but a
+# small loss is no guarantee; see the crosses on the left. The loss is an average over the data. A certificate concerns
+# the worst state, and part of $\mathcal{X}$ has no data.
 #
 # ### The corner without data
 #
 # In case 2, the upper right corner of $\mathcal{X}$ contains states for which no input sequence is feasible, so there
-# is nothing to learn from. What does each network do at $x = (6, 6)$?
+# are no training data. What does each network do at $x = (6, 6)$?
 
 # %%
 name = "double_integrator"
@@ -603,7 +608,7 @@ print(f"with 16 directions {sum(found.verdict == 'proven' for found in sixteen)}
 # in the corner have no safe set with this template. The loss cannot show this. More training is not the only remedy:
 # with twice as many directions these loops have safe sets as well.
 #
-# ### What changes the 19 iterations
+# ### What determines the number of iterations
 #
 # We use the same few networks and make one change at a time:
 
@@ -630,7 +635,7 @@ for words, found in counts.items():
 # sets come near the paper's 19, and so does a square of about half the size.
 #
 # Why does the square take so long? We look at two states: the support vector of $\mathcal{F}_{k+1}$ at the top ($x_2$),
-# and the state from which the image exceeds $\mathcal{X}$ by most on the right ($x_1$):
+# and the state from which the image exceeds $\mathcal{X}$ by the largest amount on the right ($x_1$):
 
 # %%
 case, sequence = cases[name], safe[name]
@@ -656,11 +661,12 @@ plotting.legend_above(ax, 3)
 plt.show()
 
 # %% [markdown]
-# Grey is the exact image $\mathcal{R}_1(\mathcal{F}_{k-1})$, dotted its outer set, blue the intersection of the outer
-# set with $\mathcal{X}$. The star marks the state from which the next image leaves $\mathcal{X}$. It lies in the upper
-# right corner of $\mathcal{F}_k$, **which no trajectory reaches in this step**. Two things keep that corner in the set.
-# States on the left, from which the network accelerates to the right, determine the top facet. The part of the image
-# *outside* $\mathcal{X}$ determines the slanted facet. The top moves down by a few hundredths per iteration.
+# Grey is the exact image $\mathcal{R}_1(\mathcal{F}_{k-1})$, the dotted polygon is its outer set, and the blue polygon
+# is the intersection of the outer set with $\mathcal{X}$. The star marks the state from which the next image leaves
+# $\mathcal{X}$. It lies in the upper right corner of $\mathcal{F}_k$, **which no trajectory reaches in this step**. Two
+# things keep that corner in the set. States on the left, from which the network accelerates to the right, determine the
+# top facet. The part of the image *outside* $\mathcal{X}$ determines the slanted facet. The top moves down by a few
+# hundredths per iteration.
 #
 # ### First intersect, then over-approximate
 #
@@ -672,66 +678,37 @@ plt.show()
 # It still holds that $\mathcal{F}_k$ is RPI if $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{X}$ for some $k$.
 # Proof: $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{R}_1(\mathcal{F}_{k-1}) \cap \mathcal{X}$, and so on down to
 # $\mathcal{R}_1(\mathcal{F}_0) \cap \mathcal{X}$. Each of these sets lies in its enclosure, and $\mathcal{F}_k$ is the
-# intersection of the enclosures. The MILP only needs the additional rows $x^+ \in \mathcal{X}$; the cells need an
-# intersection for each image.
+# intersection of the enclosures. The cells need an intersection with $\mathcal{X}$ for each image:
+# `mr.safe_set(..., cut_first=True)`.
 
-
-# %%
-def cut_then_cover(loop, F, V, margin=1e-9):
-    """h of R_1(F) & X along V (rounded up a little), and whether R_1(F) lies in X."""
-    X, found, inside, value = loop.system.state_set, cells(loop), True, np.full(len(V), -np.inf)
-    parts, index = found.restrict(F)
-    for i, j in enumerate(index):
-        mode = loop.system.modes[found.mode[j]]
-        after = mode.successor(parts[i], parts[i] @ found.K[j].T + found.g[j])
-        corners = (after[:, None] + mode.disturbance.vertices()).reshape(-1, 2)
-        if not X.contains(corners).all():
-            inside, corners = False, (mr.Polytope.from_points(corners) & X).vertices()
-        if len(corners):
-            value = np.maximum(value, (corners @ V.T).max(axis=0))
-    return value + margin, inside
-
-
-# %%
-def safe_set_cut_first(loop, V, max_iterations=60):
-    """F_0 = X, F_1, ... until R_1(F_k) lies in X."""
-    history, inside = [loop.system.state_set], False
-    while len(history) <= max_iterations:
-        value, inside = cut_then_cover(loop, history[-1], V)
-        if inside:
-            break
-        history.append(mr.Polytope(V, np.minimum(value, history[-1].bound(V))))
-    return history
-
-
+# %% tags=["nbval-check-output"]
 none_found = next(row for row in rows[name] if row.verdict != "proven")
 loops = {"shipped network": case.loop}
 loops["one without a safe set"] = mr.ClosedLoop(system, networks[name][none_found.seed])
-
-# %% tags=["nbval-check-output"]
 for words, loop in loops.items():
     for count in (8, 16):
         V = mr.directions(count)
-        paper_way, here = mr.safe_set(loop, V), safe_set_cut_first(loop, V)
+        paper_way, here = mr.safe_set(loop, V), mr.safe_set(loop, V, cut_first=True)
         print(f"{words}, {count} directions: cover first {paper_way.verdict} after {paper_way.iterations},", end=" ")
-        print(f"cut first {mr.check_rpi(loop, here[-1]).verdict} after {len(here) - 1}")
+        print(f"cut first {mr.check_rpi(loop, here.set).verdict} after {here.iterations}")
 
 # %% [markdown]
-# The order alone saves many of the iterations, and finds a set where the other order finds none. `check_rpi` confirms
-# each of the sets, so you need not trust the derivation above. The number of iterations mostly depends on the template,
-# the error set and such details. The text of the paper does not show which of them gave 19.
+# The reversed order alone saves many of the iterations, and it finds a set where the other order finds none.
+# `check_rpi` confirms each of the sets, so you need not trust the derivation above. The number of iterations mostly
+# depends on the template, the error set and such details. The text of the paper does not show which of them gave 19.
 
 # %% [markdown]
 # ## 5 A certificate that anybody can check
 #
-# So far *proven* meant that this package proves it, by counted rounding or exact arithmetic. A referee need not trust
-# the package. `mr.certificate.write` writes the system, the network, the template, the sequence of sets and the claims
-# to one file. Where a set misses its claim by rounding, it is enlarged until the claim is *exactly* true.
-# `mr.certificate.verify` derives every claim again. The checker, `mireach/certificate/checker.py`, imports only
-# Python's standard library, shares no code with the engines, and computes with integers, so nothing is ever rounded.
+# So far *proven* meant that this package proves it, with bounds on all rounding errors or in exact arithmetic. A
+# referee need not trust the package. `mr.certificate.write` writes the system, the network, the template, the sequence
+# of sets and the claims to one file. Where a set misses its claim by rounding, it is enlarged until the claim is
+# *exactly* true. `mr.certificate.verify` derives every claim again. The checker, `mireach/certificate/checker.py`,
+# imports only Python's standard library, shares no code with the engines, and computes with integers, so nothing is
+# ever rounded.
 #
-# Every number is read as the float that it is, i.e. as a binary fraction: 0.936 is 8430738502437569 / 2^53. The checker
-# reads it in the same way.
+# Every number of the case study is a float, i.e. a binary fraction: 0.936 is 8430738502437569 / 2^53. Both the package
+# and the checker use exactly this fraction.
 
 # %% tags=["nbval-check-output"]
 folder = Path(tempfile.mkdtemp())
@@ -762,9 +739,9 @@ forged["sets"][0][top] = 8.0
 print(mr.certificate.verify(folder / "forged.json"))
 
 # %% [markdown]
-# A better forger also computes a new digest, with `mireach.certificate.checker.digest`. Then the checker must decide by
-# mathematics. It returns a step out of the set, which anybody can replay: $x$ lies in the forged set, and its successor
-# does not.
+# A better forger also computes a new digest, with `mireach.certificate.checker.digest`. Then the checker must examine
+# the claims themselves. It returns a step out of the set, which anybody can replay: $x$ lies in the forged set, and its
+# successor does not.
 
 # %% tags=["nbval-check-output"]
 report = mr.certificate.verify(folder / "forged.json", ignore_digest=True)
@@ -774,9 +751,9 @@ x, d = (np.array([float(Fraction(part)) for part in witness[key]]) for key in ("
 print(f"\nreplayed: {x} -> {paper_case.loop.step(x, d).round(6)}, and x2 should be at most 8")
 
 # %% [markdown]
-# Claims that rest on a refuted claim are not checked any more; the others stand. With 8.5 instead of 8 the forgery
-# would have succeeded: that smaller set is RPI as well, and the checker proves it. The checker judges the content of a
-# file, not its author.
+# Claims that depend on a refuted claim are not checked; the results for the other claims remain valid. With 8.5 instead
+# of 8 the changed certificate would have been accepted: that smaller set is RPI as well, and the checker proves it. The
+# checker judges only the content of a file.
 #
 # The shipped certificates are `data/pwa/certificate.json` and `data/double_integrator/certificate.json`. The second
 # contains the error set of the fit and Theorem 2. `python3 run.py verify FILE` checks them within seconds, on any
@@ -787,21 +764,22 @@ print(f"\nreplayed: {x} -> {paper_case.loop.step(x, d).round(6)}, and x2 should 
 #
 # - For two states the closed loop is a list of polygons with one affine map each, and $h_{\mathcal{R}_1}$ is a maximum
 #   over their vertices within $\mathcal{F}$. It agrees with the MILP of Lemma 2.
-# - The stopping rule tests more than convergence: the dynamics must (nearly) fix its centre, up to $\mathcal{D}$. The
-#   origin need not satisfy this. The equilibrium does, where there is one.
-# - At a fixed point $\alpha = 1$ exactly. Theorem 1 needs a $k$ at which every facet still moves, or `contraction`.
+# - The stopping rule tests more than convergence: its centre must be nearly a fixed point of the dynamics, up to
+#   $\mathcal{D}$. The origin need not satisfy this. The equilibrium does, where there is one.
+# - At a fixed point $\alpha = 1$ exactly. Theorem 1 needs a $k$ at which every facet still moves; `contraction` also
+#   works for other $k$.
 # - Error sets that use the structure of the error cost nothing and shrink the terminal set.
 # - A small loss is no certificate; in case 2 it is not even an indication. The template, the error set, the order of
-#   operations and the states without data decide.
-# - A certificate contains what its claims need. Exact arithmetic decides them, $\alpha > 1$ included, and refutes a
-#   forged set by a step that leaves it.
+#   operations and the states without data determine the result.
+# - A certificate contains all data that its claims need. The checker decides the claims in exact arithmetic,
+#   $\alpha > 1$ included, and refutes a forged set by a step that leaves it.
 #
 # ## On your own
 #
 # - Find the bounds on $|d|_\infty$ for which the shipped network needs exactly 19 iterations.
 # - Take the networks without a safe set. Does a small change help? Add states in the upper right corner with $u = -2$
 #   to the data, and train again (`mireach.learning.training.train`).
-# - Repeat the table with `mr.directions(32)`. From which number of directions on does it no longer pay?
+# - Repeat the table with `mr.directions(32)`. From which number of directions on do more directions gain nothing?
 # - Forge the certificate so that it is still proven. Which sets can be changed, and in which direction? How may you
 #   change the weights of the network?
 # - Take a network for which the rule holds and $\alpha = 1$. Print `alphas`. From which $k$ on does a facet not move?

@@ -67,7 +67,7 @@ def spring(bound):
 # %% [markdown]
 # The fifth thing is the controller: any `torch.nn.Sequential` of Linear, ReLU, LeakyReLU and this package's Maxout. A
 # ReLU is a maxout neuron with the two channels $(z, 0)$, so the paper's method applies to it. If you have no network
-# yet, write a known control law as one. A saturated linear law is a ReLU network with two neurons,
+# yet, write a known control law as a network. A saturated linear law is a ReLU network with two neurons,
 #
 # $$ u = \max(-c, \min(K x, c)) = -c + \max(K x + c, 0) - \max(K x - c, 0) . $$
 
@@ -193,7 +193,7 @@ if own_safe.set is not None:
 # %% [markdown]
 # The dashed outlines are the sets of the law. A network that imitates the law well has nearly the same sets. The
 # difference depends on the training, so your numbers may differ a little from the ones stored here. Save the certified
-# network with `network.save("mine.json")`: the numbers read back to the same floats.
+# network with `network.save("mine.json")`: a network that is read back has exactly the same floats.
 
 # %% [markdown]
 # ## 3 A nonlinear plant: fit, prove the error, certify
@@ -256,14 +256,15 @@ plt.show()
 # %% [markdown]
 # This is Figure 3 of the paper for the pendulum. Arrows are the steps of the *nonlinear* loop. The red line is one of
 # its trajectories, and its first states lie in the small reachable sets drawn around them. The safe set extends to the
-# angle limits $\pm 1$, but not to the velocity limits: its upper and lower sides are where images of the state set end.
+# angle limits $\pm 1$, but not to the velocity limits: its upper and lower sides are determined by the images of the
+# state set.
 
 # %% [markdown]
 # ## 4 What to do when there is no safe set
 #
 # | `verdict` | meaning | what to change |
 # |---|---|---|
-# | `refuted` | the sequence stopped or is empty; a *witness* leaves $\mathcal{X}$ | template, $\mathcal{D}$, network |
+# | `refuted` | the sequence contains no safe set; a *witness* leaves $\mathcal{X}$ | template, $\mathcal{D}$, network |
 # | `unknown` | `max_iterations` was reached first, or a solver was stopped | more iterations, more time |
 #
 # "Refuted" refers to the sequence of Prop. 3, Fmax, *with this template*; other safe sets may exist. As an example,
@@ -292,8 +293,8 @@ plt.show()
 # %% [markdown]
 # The witness is a state of the last set whose image leaves $\mathcal{X}$. **Look at where it is.** Here it lies in a
 # corner that the template cannot cut off, and 16 directions find a safe set (green outline). If the network gave a bad
-# input there, more training data there would help. If no input could save the state, a smaller $\mathcal{X}$ or
-# $\mathcal{D}$ would help. What is the largest tolerated disturbance for each template?
+# input there, more training data there would help. If no input could keep the state in $\mathcal{X}$, a smaller
+# $\mathcal{X}$ or $\mathcal{D}$ would help. What is the largest tolerated disturbance for each template?
 
 
 # %%
@@ -318,8 +319,8 @@ for count in (8, 16, 32):
 # ## 5 More than two states
 #
 # The cells are limited to two states. For $n > 2$ the engine is the MILP of Lemma 2, which `mireach` then selects by
-# itself. The example has three coupled first-order lags, the last of them unstable, and a saturated LQR. The template
-# is a box, i.e. 6 directions:
+# itself. The example has three coupled first-order systems, the last of them unstable, and a saturated LQR. The
+# template is a box, i.e. 6 directions:
 
 # %%
 A3 = np.array([[0.8, 0.3, 0.0], [0.0, 0.7, 0.3], [0.0, 0.0, 1.05]])

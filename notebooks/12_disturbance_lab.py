@@ -23,7 +23,7 @@
 # - how much of the guaranteed sets the trajectories use.
 #
 # **What you need.** Notebooks 06 and 09. "Run all" takes about 15 seconds. The two labs need a running kernel. The
-# small figures before each of them are made by the same functions and show the same without a kernel.
+# small figures before each of them are made by the same functions and need no kernel.
 
 # %%
 import matplotlib.pyplot as plt
@@ -64,8 +64,8 @@ small_multiples(pwa, [(rf"$\|d\|_\infty \leq {bound}$", {"amount": bound}) for b
 # **The lab.** Drag *disturbance bound*. Drag the red ring to change the initial state (or focus it and use the arrow
 # keys). Press *play* to see every $\mathcal{F}_k$ and $\overline{\mathcal{R}}_k$ in turn. While you do not move
 # anything, the lab completes the curve at the bottom: the area of $\mathcal{F}_{\max}$ over the bound, up to the
-# largest bound for which it exists. At first the area *grows*. The reason: $\mathcal{F}_k$ keeps what one step can
-# reach (eq. (21), Fk), and a larger disturbance reaches more.
+# largest bound for which it exists. At first the area *grows*. The reason: $\mathcal{F}_k$ consists of states that one
+# step can reach (eq. (21), Fk), and with a larger disturbance more states can be reached.
 
 # %%
 lab.DisturbanceLab("pwa")
@@ -106,11 +106,11 @@ choices = [("box, 1 x error", {}), ("segment, 1 x error", {"shape": "segment"}),
 small_multiples(integrator, choices)
 
 # %% [markdown] tags=["course"]
-# **What to see.** Left: the paper's setting, with the proven error as a box. Middle: the error set that is really
-# needed, a segment. It makes the last set little more than half as large (0.16 instead of 0.28). The stopping rule
-# about the origin never holds there; the sequence just stops changing. Right: for twice the error the sequence
-# $\mathcal{F}_k$ with eight directions stops at a set that is not safe. The dashed purple path is a trajectory of the
-# nonlinear plant itself. It does not depend on the disturbance bound.
+# **What to see.** Left: the paper's setting, with the proven error as a box. Middle: the segment, which is the smallest
+# convex set that contains all errors. With it the area of the last set is little more than half as large (0.16 instead
+# of 0.28). The stopping rule about the origin never holds there; the sequence converges without it. Right: for twice
+# the error the sequence $\mathcal{F}_k$ with eight directions stops at a set that is not safe. The dashed purple path
+# is a trajectory of the nonlinear plant itself. It does not depend on the disturbance bound.
 #
 # **The lab.** The amount is a multiple of the *proven* error of the fit. With *regions of the fit* the chessboard
 # becomes finer and the proven error smaller. You can select several trained networks, among them one without
@@ -154,7 +154,7 @@ print("the same set:", np.array_equal(again["terminal"].set.h, mine.look.termina
 #
 # ## What you saw
 #
-# - A whole case study, i.e. a hundred sets, takes some hundredths of a second with the exact cells. This makes the
+# - A whole case study, i.e. a hundred sets, takes some hundredths of a second with the engine `cells`. This makes the
 #   interactive lab possible.
 # - $\mathcal{F}_{\max}$ disappears abruptly, at a bound that depends on the template.
 # - Proven sets are conservative: sampled trajectories fill only a part of them.
@@ -163,10 +163,10 @@ print("the same set:", np.array_equal(again["terminal"].set.h, mine.look.termina
 #
 # - For which bounds does the sequence $\overline{\mathcal{R}}_k$ not end within the lab's 100 steps? Where does it stop
 #   changing, and where does the stopping rule hold?
-# - In the double integrator's lab, choose the network for which the rule about the origin does not end, then scale
-#   about the equilibrium.
-# - Find a start outside $\mathcal{F}_{\max}$ from which no trajectory leaves $\mathcal{X}$. What does this say about
-#   $\mathcal{F}_{\max}$?
+# - In the double integrator's lab, choose the network for which the stopping rule about the origin never holds. Then
+#   scale about the equilibrium.
+# - Find an initial state outside $\mathcal{F}_{\max}$ from which no trajectory leaves $\mathcal{X}$. What does this say
+#   about $\mathcal{F}_{\max}$?
 # - In the double integrator's lab, take 36 regions and make the multiple as large as possible. How large is
 #   $\|d\|_\infty$ then, compared with 9 regions?
 #

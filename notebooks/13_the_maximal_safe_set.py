@@ -70,8 +70,9 @@ for ax, (name, case) in zip(axes, cases.items()):
 plt.show()
 
 # %% [markdown]
-# **What to see.** In case 1 only a small corner is lost. In case 2 the corners are lost in which the network cannot
-# brake in time. The paper's $\mathcal{F}_{\max}$ (hatched) is a part of the safe set, in case 2 a sixth of it.
+# **What to see.** In case 1 only a small corner is lost. In case 2 the lost states lie in the corners in which the
+# network cannot brake in time. The paper's $\mathcal{F}_{\max}$ (hatched) is a part of the safe set, in case 2 a sixth
+# of it.
 
 # %% [markdown]
 # ## 2 One step backwards
@@ -103,9 +104,9 @@ for ax, (name, case) in zip(axes, cases.items()):
 plt.show()
 
 # %% [markdown]
-# **What to see.** From the bright corners one disturbance leads out of $\mathcal{X}$ at once. From darker corners it
-# takes more steps, each with a disturbance that leads into the part that is already lost. In case 2, step 5 loses only
-# a set of area $2.5 \cdot 10^{-6}$, too small to see. Step 6 loses nothing.
+# **What to see.** From the bright corners some disturbance leads out of $\mathcal{X}$ in one step. From the darker
+# parts more steps are needed, each with a disturbance that leads into the part that is already lost. In case 2, step 5
+# loses only a set of area $2.5 \cdot 10^{-6}$, too small to see. Step 6 loses nothing.
 #
 # The next figure compares the first two forward and backward steps of case 2:
 
@@ -132,10 +133,10 @@ plt.show()
 # %% [markdown]
 # ## 3 What rounding can do, and a proof
 #
-# GEOS, which computes unions and differences, rounds at about $10^{-15}$. The computed set may then fail to be RPI
-# because its image exceeds it by the last digit. So `maximal_safe_set` computes two sets. For `set`, every
-# $\mathcal{D}$ and every lost part is enlarged by a slack of $10^{-9}$ of the size. For `outer`, lost sets are shrunk
-# by the same amount. The true set lies between them.
+# GEOS, which computes unions and differences, has relative rounding errors of about $10^{-15}$. The computed set may
+# then fail to be RPI because its image exceeds it by a rounding error. So `maximal_safe_set` computes two sets. For
+# `set`, every $\mathcal{D}$ and every lost part is enlarged by a slack of $10^{-9}$ of the size. For `outer`, lost sets
+# are shrunk by the same amount. The true set lies between them.
 
 # %% tags=["nbval-check-output"]
 for name, found in maximal.items():
@@ -223,8 +224,8 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** Every trajectory from the maximal set, not only from $\mathcal{F}_{\max}$, ends in the blue set. The
-# dashed terminal set, a polygon with eight sides, is larger. In case 1 it also contains the gaps that the jumps between
-# the modes leave.
+# dashed terminal set, a polygon with eight sides, is larger. In case 1 it also fills the gaps in the attractor, which
+# the discontinuities between the modes cause.
 
 # %% [markdown]
 # ## 5 How much disturbance is too much?
@@ -253,14 +254,15 @@ plt.show()
 # $\mathcal{X}$. `mr.largest_disturbance(loop)` finds these bounds by bisection, to $10^{-4}$. Near them the iteration
 # takes hundreds of steps, so the computation takes a minute or two. The results are listed here:
 #
-# | largest bound on $|d|_\infty$ (the paper's) | $\mathcal{F}_{\max}$ | maximal set | and its area there |
+# | largest bound on $|d|_\infty$ (the paper's) | $\mathcal{F}_{\max}$ | maximal set | area of the maximal set there |
 # | --- | --- | --- | --- |
 # | pwa (0.15) | 0.1940 | 1.2530 | 388.6 of 400 |
 # | double_integrator (0.1186) | 0.1779 | 0.8793 | 31.9 of 144 |
 #
 # The existence of the maximal set is monotone: a set that is RPI for $\mathcal{D}$ is RPI for every smaller disturbance
-# set. For $\mathcal{F}_{\max}$ this need not hold, since the sequence starts elsewhere and a template fits some images
-# better than others. There the bisection finds a bound at which the result changes.
+# set. The existence of $\mathcal{F}_{\max}$ for a fixed template is monotone as well: by induction over $k$, every
+# $\mathcal{F}_k$ grows with $\mathcal{D}$, so $\mathcal{R}_1(\mathcal{F}_k) \subseteq \mathcal{X}$ carries over to
+# every smaller $\mathcal{D}$. Bisection is therefore exact for both.
 
 # %% tags=["nbval-check-output"]
 found = mr.largest_disturbance(loop, "template", C=cases["double_integrator"].safe_directions)
@@ -286,14 +288,14 @@ for name, study in rows.items():
 # %% [markdown]
 # **What to see.** Every one of the 300 networks has a maximal safe set, including those for which the paper's method
 # finds none. Within a case the set hardly depends on the network (the marks are spread vertically only to make them
-# visible). Presumably the limits of $u$ cause the lost part, and not the training.
+# visible). Presumably the lost part is caused by the limits of $u$ and not by the training.
 
 # %% [markdown]
 # ## What you saw
 #
 # - Safety is a question about preimages. Forward images drop safe states that no state leads to.
 # - The preimage of a polygon under an affine piece is a polygon, for every piece. No template is needed for two states.
-# - A slack of $10^{-9}$ costs no area that matters, and makes a proof in fractions possible.
+# - A slack of $10^{-9}$ costs a negligible area and makes a proof in fractions possible.
 # - Exact reachable sets show what each template step adds. The attractor is smaller than the terminal set, in case 1 by
 #   more than a third, in case 2 by a tenth.
 # - If no $\mathcal{F}_{\max}$ is found, this does not mean that the network is unsafe.

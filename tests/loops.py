@@ -162,8 +162,8 @@ def highest_vertex(H, h, c):
     return best
 
 
-def brute_support(loop, F, V, steps=1):
-    """h of R_k(F) along V: one LP for every choice of modes and winning channels that is possible at all.
+def brute_support(loop, F, V, steps=1, within=None):
+    """h of R_k(F) & `within` along V: one LP for every choice of modes and winning channels that is possible at all.
 
     The variables are w = (x(0), d(0), ..., d(k - 1)); every state of the trajectory is E w + e.
     """
@@ -173,6 +173,8 @@ def brute_support(loop, F, V, steps=1):
     V = np.asarray(V, float)
     best = np.full(len(V), -np.inf)
     for E_end, e_end, A, b in _trajectories(loop, E, e, F.H @ E, F.h, steps, 0):
+        if within is not None:
+            A, b = np.vstack([A, within.H @ E_end]), np.concatenate([b, within.h - within.H @ e_end])
         best = np.maximum(best, [largest(v @ E_end, A, b) + v @ e_end for v in V])
     return best
 

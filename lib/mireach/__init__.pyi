@@ -22,7 +22,7 @@ from .errors import CellLimitError, CorruptFileError, MireachError, MissingExtra
 from .results import Verdict
 from .sets.polytope import Polytope
 from .sets.region import Region
-from .sets.templates import box_directions, directions
+from .sets.templates import box_directions, directions, octahedral_directions
 from .studies import case_studies
 from .studies.case_studies import case_study
 from .systems.loop import ClosedLoop
@@ -79,6 +79,7 @@ __all__ = [
     "fit_pwa",
     "largest_disturbance",
     "maximal_safe_set",
+    "octahedral_directions",
     "outer_reach",
     "outer_step",
     "prove_error",

@@ -6,9 +6,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from loops import affine_loop, assert_replays, brute_support, jump_loop, largest, random_loop, random_successors
+from regions import in_other_units, powers
 
 import mireach as mr
 from mireach import (
+    Cells,
     ClosedLoop,
     Exact,
     Milp,
@@ -24,7 +26,9 @@ from mireach import (
     ultimately_bounded,
 )
 from mireach.analysis.contraction import growth
+from mireach.analysis.reach import cut_support
 from mireach.engines.base import SOLVER, Support
+from mireach.studies.seed_study import load_networks
 
 BOX = box_directions(2)
 
@@ -238,6 +242,60 @@ def test_safe_sets_shrink_stay_in_the_state_set_and_keep_the_template():
             assert after.is_subset(before, tol=1e-9) and after.is_subset(loop.system.state_set)
         if safe.iterations:
             assert len(safe.history[-1].h) == 8
+
+
+# -- safe_set with cut_first --------------------------------------------------------------------------
+
+
+def test_cutting_first_needs_fewer_iterations_and_finds_more():
+    """The double integrator as in notebook 10: its shipped network, and one for which eq. (21), Fk, finds no set."""
+    case = mr.case_study("double_integrator")
+    other = ClosedLoop(case.system, load_networks("double_integrator")[12])
+    for loop, paper, cut in ((case.loop, ("proven", 29), 21), (other, ("refuted", 52), 23)):
+        first, found = safe_set(loop, directions(8)), safe_set(loop, directions(8), cut_first=True)
+        assert (first.verdict, first.iterations) == paper
+        assert (found.verdict, found.iterations) == ("proven", cut)
+        assert check_rpi(loop, found.set).verdict == "proven"
+        for after, before, covered in zip(found.history[1:], found.history, first.history[1:]):
+            assert after.is_subset(before) and after.is_subset(covered, tol=1e-9)
+
+
+def test_cutting_first_changes_nothing_where_all_of_the_state_set_is_safe():
+    found = safe_set(contraction(), BOX, cut_first=True)
+    assert found.verdict == "proven" and found.iterations == 0
+
+
+def test_cutting_first_does_not_depend_on_units():
+    loop = random_loop(0)
+    s, t = powers(np.random.default_rng(0), True)
+    own, other = safe_set(loop, BOX, cut_first=True), safe_set(in_other_units(loop, s, t), BOX, cut_first=True)
+    assert (own.verdict, own.iterations) == (other.verdict, other.iterations) and own.iterations > 0
+    for F, G in zip(own.history, other.history):
+        assert (F.bounding_box()[1] == G.bounding_box()[1] * s).all()
+
+
+def test_cutting_first_without_a_set_says_why():
+    found = safe_set(affine_loop(2 * np.eye(2), p=[1.5, 0]), BOX, cut_first=True)
+    assert found.verdict == "refuted" and found.set is None and found.witness is not None
+
+
+def test_a_wrong_bound_within_the_state_set_proves_nothing():
+    """R_1(X) is [-0.05, 1.05] along x1; with 0.3 too little F_1 is [0.25, 0.7], which is left."""
+
+    class Lying(Cells):
+        def cut_support(self, loop, F, V):
+            return super().cut_support(loop, F, V) - 0.3
+
+    found = safe_set(contraction(w=0.05, p=(0.5, 0.0)), BOX, Lying(), max_iterations=5, cut_first=True)
+    assert found.verdict == "unknown" and found.set is None and "was wrong" in found.reason
+
+
+@pytest.mark.parametrize(("n", "engine"), [(2, "milp"), (2, "exact"), (3, None)])
+def test_engines_that_cannot_cut_first_are_named(n, engine):
+    with pytest.raises(ValueError, match=r"cannot cut first.*cells"):
+        safe_set(contraction(n=n, p=np.zeros(n)), engine=engine, cut_first=True)
+    with pytest.raises(ValueError, match="cut_support"):
+        cut_support(contraction(n=n, p=np.zeros(n)), Polytope.box(-np.ones(n), np.ones(n)), box_directions(n), engine)
 
 
 # -- terminal_set -------------------------------------------------------------------------------------

@@ -470,3 +470,32 @@ def test_nothing_is_reached_when_all_trajectories_have_left_the_state_set():
     assert (Cells().support(loop, F, V, 1).bound > -np.inf).all()
     for steps in (2, 3, 4):
         assert (Cells().support(loop, F, V, steps).bound == -np.inf).all()
+
+
+# -- successors within X ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS_OF_LOOPS)
+def test_bounds_within_the_state_set_are_those_of_brute_force(kind):
+    loop, left = random_loop(1, limits=1.5, **kind), 0
+    X = loop.system.state_set
+    for F in (X, *(SETS[name] & X for name in ("triangle", "flat", "segment", "point"))):
+        found, expected = Cells().cut_support(loop, F, V), brute_support(loop, F, V, within=X)
+        assert ((found >= expected - 1e-9) & ((found <= expected + 1e-7) | (found == expected))).all()
+        assert (found <= Cells().support(loop, F, V).bound).all()
+        left += (expected < Cells().support(loop, F, V).value - 1e-3).any()
+        ends = random_images(loop, F, np.random.default_rng(1), 50)
+        ends = ends[(ends @ X.H.T <= X.h).all(axis=1)]
+        assert ((ends @ V.T).max(axis=0, initial=-np.inf) <= found + 1e-12).all()
+    assert left  # sets whose image X cuts
+
+
+def test_bounds_within_the_state_set_count_images_that_only_touch_it():
+    jump = jump_loop([3.0, 0.0], [5.0, 0.0])  # X is the box |x|_inf <= 4
+    assert Cells().cut_support(jump, SETS["X"], directions(4)).max() == pytest.approx(3, abs=1e-9)
+    touching = affine_loop(np.eye(2), p=[2.0, 0.0])  # the image of |x|_inf <= 1 is 1 <= x1 <= 3
+    found = Cells().cut_support(touching, SETS["X"], directions(4))
+    np.testing.assert_allclose(found, [1, 1, -1, 1], atol=1e-9)
+    beyond = affine_loop(np.eye(2), p=[2.1, 0.0])
+    assert (Cells().cut_support(beyond, SETS["X"], directions(4)) == -np.inf).all()
+    assert (Cells().cut_support(beyond, Polytope.box([5, 5], [6, 6]), directions(4)) == -np.inf).all()

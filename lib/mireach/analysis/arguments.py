@@ -26,7 +26,7 @@ def template(loop: ClosedLoop, C: ArrayLike | None) -> Array:
 
 
 def with_rows(C: Array, H: Array) -> Array:
-    """C, and below it those rows of H that it lacks, up to powers of two."""
+    """C with those rows of H appended that it does not contain, up to factors that are powers of two."""
     known = {row.tobytes() for row in normal_rows(C)[0]}
     return np.vstack([C, *(row[None] for row, own in zip(H, normal_rows(H)[0]) if own.tobytes() not in known)])
 

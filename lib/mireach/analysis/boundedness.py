@@ -20,14 +20,14 @@ from .terminal_set import TerminalSet
 
 @dataclass(frozen=True)
 class UltimateBound(Result):
-    """Answer of `ultimately_bounded`: Theorem 2's verdict, and each of its conditions.
+    """Result of `ultimately_bounded`: the verdict of Theorem 2, and each of its conditions.
 
     Attributes
     ----------
     verdict : Verdict
     conditions : dict of str to bool
     settled : str
-        What the steps of the loop rest on, as in `RPICheck`.
+        What the inclusions of R_1 rest on, as in `RPICheck`.
     """
 
     verdict: Verdict
@@ -54,11 +54,12 @@ def ultimately_bounded(
     ----------
     plant : NonlinearSystem
     loop : ClosedLoop
-        With a piecewise-affine approximation of the plant, whose disturbance sets shall hold the error.
+        With a piecewise-affine approximation of the plant. Its disturbance sets must contain the approximation error.
     safe : SafeSet
     terminal : TerminalSet
     engine : Engine, str or None
-        As in `support`. Every step of the sequence is checked again, so that sets of another loop prove nothing.
+        As in `support`. Every step of the sequence is checked again, so sets that belong to another loop are not
+        accepted.
 
     Returns
     -------
@@ -73,7 +74,7 @@ def ultimately_bounded(
 
     See Also
     --------
-    fit_pwa : an approximation whose disturbance sets hold its error.
+    fit_pwa : an approximation whose disturbance sets contain its error.
 
     Examples
     --------

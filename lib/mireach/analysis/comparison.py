@@ -1,8 +1,9 @@
-"""Whether R_1(F) stays within half-planes: floats find the answer, and only what cannot be wrong settles it.
+"""Whether R_1(F) lies in half-spaces. Floats propose the answer; a proof decides it.
 
-"Holds" rests on a bound whose rounding is counted, or on exact arithmetic where floats leave a doubt; "leaves" rests on
-a step in rational numbers. A loop with three or more states may have too many cells for exact arithmetic (`FEW_CELLS`).
-What is left in doubt then rests on the resolution of a MILP, and says so.
+A row "holds" because of a bound that includes all rounding errors or, if floats do not decide it, because of exact
+arithmetic. R_1(F) "leaves" a half-space because of a step in rational numbers. A loop with three or more states may
+have too many cells for exact arithmetic (`FEW_CELLS`). Rows that are then undecided hold to within the resolution of
+the MILP, and the result states this.
 """
 
 from dataclasses import dataclass, field
@@ -29,7 +30,7 @@ WITHIN = "to within {:.0e} of the size of X, {}"
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """R_1(F) against half-planes V x <= limit.
+    """Comparison of R_1(F) with the half-spaces V x <= limit.
 
     Attributes
     ----------
@@ -39,11 +40,11 @@ class Comparison:
     limit : array (k,)
     found : Support
     bound : array (k,)
-        The smallest bound on h of R_1(F) along V that is known.
+        The smallest upper bound on h of R_1(F) along V that was computed.
     holds : array (k,) of bool
-        Rows along which R_1(F) does not pass the limit.
+        Rows along which R_1(F) does not exceed the limit.
     settled : str
-        What this rests on, where all rows hold.
+        What the result rests on if all rows hold.
     stopped : str
         Why the engine did not finish; "" if it did.
     """
@@ -66,18 +67,18 @@ class Comparison:
 
     @property
     def worst(self) -> int:
-        """The row whose bound passes its limit by most."""
+        """The row whose bound exceeds its limit by the largest amount."""
         return int(np.argmax((self.bound - self.limit) * self.weights))
 
     def escape(self, row: int) -> Witness | None:
-        """A step from F that passes the limit of a row without rounding, or None."""
+        """A step from F that exceeds the limit of a row in exact arithmetic, or None."""
         if row not in self._steps:
             step = self._passing(row)
             self._steps[row] = None if step is None else step.witness(self.loop, self.V[row], self.limit[row])
         return self._steps[row]
 
     def first_escape(self) -> tuple[int, Witness] | None:
-        """A row that is passed, the worst one first, and a step that passes it; None if none is found."""
+        """A row with a step that exceeds its limit, the largest excess first; None if no such step is found."""
         excess = (self.found.value - self.limit) * self.weights
         for row in np.argsort(-excess, kind="stable").tolist():
             if not self.holds[row]:
@@ -111,7 +112,7 @@ def compare(
     cutoff: Array | None = None,
     warm_start: Support | None = None,
 ) -> Comparison:
-    """Compare R_1(F) with half-planes V x <= limit.
+    """Compare R_1(F) with the half-spaces V x <= limit.
 
     Parameters
     ----------
@@ -119,16 +120,16 @@ def compare(
     F : Polytope
     V : array (k, n)
     limit : array (k,)
-        inf where nothing is asked.
+        inf for rows without a limit.
     engine : Engine, str or None
         As in `reach.support`.
     tol : float or None
-        A row holds if its bound is at most limit + tol (units of V x). None is no tolerance at all, where exact
-        arithmetic decides: for two states, and for more if the loop has few cells, up to 2,000 for three
-        states and half as many for each further one. Otherwise None is what the engine resolves.
+        A row holds if its bound is at most limit + tol (units of V x). None is no tolerance at all if exact arithmetic
+        can decide: for two states, and for more if the loop has few cells, up to 2,000 for three states and half as
+        many for each further one. Otherwise None is the resolution of the engine.
     thorough : bool
-        Whether exact arithmetic shall decide about every row in doubt, even where floats see another one passed
-        clearly, so that not all of them hold.
+        Whether exact arithmetic must decide every row in doubt, even if floats show that another row clearly does not
+        hold.
     cutoff, warm_start
         As in `reach.support`.
 
@@ -179,6 +180,6 @@ def _most_cells(loop: ClosedLoop) -> int:
 
 
 def weaker(*settled: str) -> str:
-    """The weakest of several things that a result rests on."""
+    """The weakest of several foundations of a result."""
     order = {EXACT: 0, COUNTED: 1}
     return max(settled, key=lambda one: 3 if SOLVER in one else order.get(one, 2), default=EXACT)

@@ -1,4 +1,4 @@
-"""Theorem 1: how far an RPI set may be enlarged so that one step still leads into it."""
+"""Theorem 1: the largest factor by which an RPI set may be enlarged so that one step still leads into the set."""
 
 import numpy as np
 
@@ -23,10 +23,10 @@ def contraction(
     largest: float = 2.0,
     accuracy: float = 1e-9,
 ) -> float:
-    """Largest alpha found with R_1(c + alpha (R - c)) in R, all that the proof of Theorem 1 uses of alpha.
+    """Largest alpha found with R_1(c + alpha (R - c)) in R, the only property of alpha in the proof of Theorem 1.
 
-    Eq. (26), StabCondFmin, alpha R_k-bar in R_(k-1)-bar, implies it. It can hold with alpha > 1 where some facets of
-    the sequence have come to rest, so that eq. (26), StabCondFmin holds with alpha = 1 only.
+    Eq. (26), StabCondFmin, alpha R_k-bar in R_(k-1)-bar, implies this inclusion. The inclusion can hold with alpha > 1
+    even if some facets of the sequence no longer move, so that eq. (26), StabCondFmin, holds only with alpha = 1.
 
     Parameters
     ----------
@@ -38,15 +38,15 @@ def contraction(
     engine : Engine, str or None
         As in `support`.
     largest : float
-        Where the search ends.
+        Upper end of the search.
     accuracy : float
-        Of the bisection, in units of alpha; what is returned is proven, up to the engine's own accuracy.
+        Accuracy of the bisection, in units of alpha. The returned alpha is proven, up to the accuracy of the engine.
 
     Returns
     -------
     float
-        Above 1 the set R is stable. 1 means that none above 1 was found, not that R is RPI; nan if the centre
-        is not inside R.
+        If it is above 1, the set R is stable. 1 means that no alpha above 1 was found; it does not mean that R is RPI.
+        nan if the centre is not inside R.
 
     Raises
     ------
@@ -88,8 +88,8 @@ def contraction(
 def growth(V: Array, reach: Array, before: Array, c: Array) -> float:
     """Largest alpha with alpha (R - c) in R_before - c, rounded down, for sets with rows V; nan if c is not inside R.
 
-    `reach` is the support function of R along V, and `before` has the offsets of R_before. Floats leave out the rows
-    that cannot have the smallest ratio, their rounding counted; the others are compared in rational arithmetic.
+    `reach` is the support function of R along V, and `before` has the offsets of R_before. Rows that cannot have the
+    smallest ratio are excluded by floats with error bounds. The other rows are compared in rational arithmetic.
     """
     middle, error = V @ c, rounding(V, c, reach, before)
     top, bottom = before - middle, reach - middle
@@ -108,7 +108,7 @@ def growth(V: Array, reach: Array, before: Array, c: Array) -> float:
 
 
 def rounding(V: Array, c: Array, h: Array, other: Array) -> Array:
-    """What floats round off at most in h - V c and in other - V c: array (k,)."""
+    """Bounds on the rounding errors of h - V c and of other - V c: array (k,)."""
     return (len(c) + 4) * EXPRESSION * (np.abs(V) @ np.abs(c) + np.maximum(np.abs(h), np.abs(other)))
 
 

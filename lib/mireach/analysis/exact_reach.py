@@ -1,4 +1,4 @@
-"""Reachable sets of the plane without templates, nonconvex as they are, and the attractor in which they settle."""
+"""Exact, nonconvex reachable sets for two states, without templates, and the attractor to which they converge."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from .maximal_set import MaximalSafeSet
 from .plane import PlanarLoop, normals, per_axis
 from .safe_set import SafeSet
 
-GRIDS = 2.0 ** np.array([-5, -4, -3])  # of the corners of a union, relative to the widening; the next one if GEOS fails
-FEWER = 0.75  # share of the widening by which the boundary may move inward again while it loses corners
-MORE = 8  # factor from one widening to the next where a set has too many corners
+GRIDS = 2.0 ** np.array([-5, -4, -3])  # of the corners of a union, relative to the margin; the next one if GEOS fails
+FEWER = 0.75  # share of the margin by which the boundary may move inward again when corners are removed
+MORE = 8  # factor from one margin to the next if a set has too many corners
 MOST_CORNERS = 300  # of a set of the attractor, beyond which it is widened more
 MOST_PARTS = 100_000  # that the image of a set may fall into
 
@@ -38,19 +38,19 @@ class Attractor(Result):
     Attributes
     ----------
     set : Region
-        An outer approximation of R_k(S) with k = `steps`; every trajectory from S is in it from step k on.
+        An outer approximation of R_k(S) with k = `steps`. Every trajectory from S is in it from step k on.
     steps : int
-        The k of it.
+        k of `set`.
     history : list of Region
-        S, and outer approximations of R_1(S), ..., R_k(S), and of R_(k+1)(S), by which the rule was tested. Each
-        holds the image of the one before it.
+        S, and outer approximations of R_1(S), ..., R_k(S), and of R_(k+1)(S), which was used to test the stopping rule.
+        Each set contains the image of the one before it.
     settled : bool
         Whether no point of R_k is farther than `tolerance` from R_(k+1).
     tolerance : float or array (2,)
         As given (units of x).
     added : array (2,)
-        By how much the sets of `history` were widened, all steps together (units of x): each of them lies within
-        the image of the one before it, widened by a box, and the half-widths of these boxes sum up to at most this.
+        Upper bound on the sum of the enlargements of all steps (units of x). In every step the image was enlarged by a
+        box; the half-widths of these boxes sum up to at most this value.
     """
 
     set: Region
@@ -66,22 +66,22 @@ class Attractor(Result):
 
 
 def exact_reach(loop: ClosedLoop, F: Polytope | Region, steps: int) -> list[Region]:
-    """The exact reachable sets R_0(F) = F & X, R_1(F), ..., R_k(F) for k = `steps`, nonconvex as they are.
+    """The exact reachable sets R_0(F) = F & X, R_1(F), ..., R_k(F) for k = `steps`, without a template.
 
     Parameters
     ----------
     loop : ClosedLoop
         With two states.
     F : Polytope or Region
-        Points and segments are fine.
+        May also be a point or a segment.
     steps : int
         At least 0.
 
     Returns
     -------
     list of steps + 1 Region
-        Up to rounding: images with an area are widened by up to 3e-11 of the size of X and its image at every step,
-        so that no cracks open between them. Only the part within X has successors. Nothing is proven about them.
+        Exact up to rounding: at every step, images with an area are enlarged by up to 3e-11 of the size of X and its
+        image, so that no gaps open between them. Only the part within X has successors. The sets are not proven.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def exact_reach(loop: ClosedLoop, F: Polytope | Region, steps: int) -> list[Regi
 
     See Also
     --------
-    outer_reach : covers the sets by a template, in any dimension; attractor : where the sets settle.
+    outer_reach : encloses the sets by a template, in any dimension; attractor : the set to which they converge.
 
     Examples
     --------
@@ -122,18 +122,18 @@ def attractor(
     tolerance: ArrayLike = 1e-3,
     max_steps: int = 500,
 ) -> Attractor:
-    """A set that everything in a safe set enters, close to the smallest: R_k(S) once the sequence has settled.
+    """A small set that all trajectories from a safe set S enter: R_k(S) with k at which the sequence hardly changes.
 
     Parameters
     ----------
     loop : ClosedLoop
         With two states.
     safe : MaximalSafeSet, SafeSet, Region or Polytope
-        An RPI set S, from which on the sequence R_k(S) shrinks.
+        An RPI set S. The sequence R_k(S) is then nested.
     tolerance : float or array (2,)
-        The sequence has settled when no point of R_k is farther than this from R_(k+1) along any axis (units of x).
-        Where the states have different units, give one number for each. What comes later may still shrink by more,
-        if slowly: the rule is about one step.
+        The sequence has settled when no point of R_k is farther than this from R_(k+1) along any axis (units of x). If
+        the states have different units, give one number per state. The rule concerns one step only: over many later
+        steps the sets may shrink by more than this.
     max_steps : int
         The sequence ends after this many steps, settled or not.
 
@@ -152,7 +152,7 @@ def attractor(
 
     See Also
     --------
-    maximal_safe_set : a set to start from; terminal_set : the same with a template, and with proofs.
+    maximal_safe_set : a set to start from; terminal_set : the proven counterpart with a template.
 
     Examples
     --------
@@ -165,10 +165,11 @@ def attractor(
 
     Notes
     -----
-    R_k may have ever more corners. Every image is therefore widened by a box and then loses those corners that lie
-    within that margin, so that each set holds the image of the one before it; floats check it, with a margin that
-    covers their rounding. The half-width is 1.5e-11 of the size of X and its image at first. It grows, up to an eighth
-    of the tolerance, where a set would have more than 300 corners. `added` is the sum of the widenings.
+    The number of corners of R_k may grow without bound. Every image is therefore enlarged by a box, and corners within
+    this margin are then removed, so that each set contains the image of the one before it. This is checked in floats
+    with a margin that covers their rounding. The half-width is at first 1.5e-11 of the size of X and its image. It
+    grows, up to an eighth of the tolerance, if a set would have more than 300 corners. `added` bounds the sum of the
+    enlargements.
     """
     by_axis = per_axis(tolerance, 2, "tolerance")
     max_steps = whole_number(max_steps, "max_steps", 1)
@@ -207,7 +208,7 @@ def attractor(
 
 @contextmanager
 def _named_failures(advice: str) -> Iterator[None]:
-    """Turn what GEOS raises into a RegionError that says what to do."""
+    """Turn an exception of GEOS into a RegionError that says what to do."""
     try:
         yield
     except GEOSException as error:
@@ -224,9 +225,9 @@ class _TooManyParts(Exception):
 
 
 def _images(plane: PlanarLoop, R: Region) -> Polygons:
-    """The images of all parts of cells within R, each widened by the D of its mode: Polygons.
+    """The images of all parts of cells within R, each enlarged by the D of its mode: Polygons.
 
-    A cell that lies in R counts as a whole.
+    A cell that lies in R is used as a whole.
     """
     cells = plane.polygons
     shapely.prepare(R.shape)
@@ -264,11 +265,11 @@ def _parts(plane: PlanarLoop, chosen: IntArray, pieces: Polygons) -> tuple[Polyg
 
 
 def _closed(polygons: Polygons, widening: float, flat: bool = False) -> Shape:
-    """A shapely geometry that holds polygons, each widened by a box, and lies within twice that widening of them.
+    """A shapely geometry that contains polygons, each enlarged by a box, and lies within twice that margin of them.
 
-    Widened polygons overlap where they share an edge, so that no cracks are left; corners that lie closer than `FEWER`
-    times the widening to the boundary without them are left out. With `flat`, polygons without area that stick out
-    are not widened.
+    Enlarged polygons overlap where they share an edge, so that no gaps remain. A corner is removed if it lies closer
+    than `FEWER` times the margin to the boundary without it. With `flat`, polygons without area are not enlarged where
+    they lie outside the other polygons.
     """
     if not len(polygons):
         return shapely.Polygon()
@@ -287,7 +288,7 @@ def _closed(polygons: Polygons, widening: float, flat: bool = False) -> Shape:
 
 
 def _union_of_wide(wide: Shapes, shapes: Shapes, widening: float) -> Shape:
-    """The union of widened polygons with fewer corners, which holds `shapes`, those that are not widened."""
+    """The union of enlarged polygons with fewer corners; it contains `shapes`, the original polygons."""
     failure: object = "corners lie too close together"
     for grid in GRIDS * widening:
         try:
@@ -305,7 +306,7 @@ def _union_of_wide(wide: Shapes, shapes: Shapes, widening: float) -> Shape:
 def _sides(pieces: Polygons) -> tuple[Array, Array]:
     """Half-planes A (N, 7, 2), b (N, 7) whose intersections are triangles, segments and points.
 
-    Four of them are the bounding box: a triangle of almost no width has a side without a direction.
+    Four of them are the bounding box, because a side of a very thin triangle may have no direction.
     """
     A = np.empty((len(pieces), 7, 2))
     A[:, 3:] = np.vstack([np.eye(2), -np.eye(2)])

@@ -1,12 +1,13 @@
-"""The maximal RPI set of a loop with two states, by steps backwards, and its proof in rational arithmetic.
+"""The maximal RPI set of a loop with two states, by a backward iteration, and its proof in rational arithmetic.
 
-Forward images of a nonconvex set have to be covered by a template, and every cover adds what is then carried
-on. Backwards nothing is covered: a state is lost if a disturbance carries it to a lost state, and the lost part
-of a cell is a union of convex polygons.
+Forward images are nonconvex. A template encloses them in convex sets, and this over-approximation is propagated by
+every further step. The backward iteration needs no template: a state is lost if some disturbance leads it to a lost
+state, and the lost part of a cell is a union of convex polygons.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -20,7 +21,7 @@ from ..engines import exact_plane
 from ..engines.base import EXACT, Escape
 from ..errors import CellLimitError, RegionError
 from ..results import Result, Verdict
-from ..sets.geos import Shape, hulls, overlay
+from ..sets.geos import Shape, Shapes, hulls, overlay
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
 from ..sets.region import Region
@@ -30,12 +31,13 @@ from ..typing import Array, ArrayLike, IntArray
 from .plane import PlanarLoop, normals, square
 
 MOST_ITERATIONS = 500  # default of `max_iterations`
-MOST_TRIANGLES = 1_000  # that an S_k may fall into; a larger slack then ends a boundary of ever more corners sooner
-MOST_LOST = 10_000  # the same where nothing has to be proven afterwards
+MOST_TRIANGLES = 1_000  # of an S_k; beyond it a larger slack is tried, with which the iteration ends sooner
+MOST_LOST = 10_000  # the same for sets that are not proven afterwards
 COARSER = 4  # powers of 10 by which the slack may grow
-STEEP = 0.2  # rows of a region that change with x more slowly than this (relative to their length) are not located well
+STEEP = 0.2  # rows of a region that change with x more slowly than this (relative to their length) are inaccurate
 ROUNDING = 1e-3  # share of the slack that covers the rounding of one operation
-FLOATS = "floating point"  # what an answer rests on that `slack` protects from rounding, but no proof
+NO_SHAPES: Shapes = np.zeros(0, object)
+FLOATS = "floating point"  # what a result rests on that `slack` protects from rounding errors, but that is not proven
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ class RegionCheck(Result):
     witness : Escape or None
         A step out of the region, in rational numbers, where the verdict is "refuted".
     reason : str
-        What was shown, or why nothing was.
+        What was shown, or why nothing was shown.
     settled : str
         What the verdict rests on: "exact arithmetic"; empty where it is "unknown".
     """
@@ -64,25 +66,24 @@ class RegionCheck(Result):
 
 @dataclass(frozen=True, eq=False)
 class MaximalSafeSet(Result):
-    """Result of `maximal_safe_set`: set <= the maximal RPI set in X <= outer.
+    """Result of `maximal_safe_set`: `set` lies in the maximal RPI set in X, and that lies in `outer`.
 
     Attributes
     ----------
     set : Region or None
-        RPI; the figures show it as the maximal set. None if none was found.
+        An RPI set, shown in the figures as the maximal set. None if none was found.
     outer : Region
-        Outside of it every state can be driven out of X.
+        Every state outside of it can be driven out of X.
     iterations : int
-        k with S_k = `set`.
+        The k with S_k = `set`.
     history : list of Region
         S_0, S_1, ..., S_k, of the iteration that led to `set`.
     verdict : Verdict
-        "proven": `set` is RPI, in rational arithmetic. "refuted": X holds no RPI set at all, since `outer` is
-        empty.
+        "proven": `set` is RPI, in rational arithmetic. "refuted": X contains no RPI set at all, since `outer` is empty.
     reason : str
         What was shown, and which values of the slack failed before.
     slack : float
-        By which `set` was found, relative to the size of X and its image, as the argument of `maximal_safe_set`.
+        The slack with which `set` was found, as the argument of `maximal_safe_set`.
     settled : str
         What the verdict rests on: "exact arithmetic" where it is "proven", "floating point" where it is "refuted"
         (with the margin `slack`), empty where it is "unknown".
@@ -105,7 +106,7 @@ class MaximalSafeSet(Result):
 
     @property
     def given_up(self) -> float:
-        """Share of the area of `outer` that `set` lacks; what is given up for the proof is at most that."""
+        """Share of the area of `outer` outside `set`: an upper bound on the part of the maximal set outside it."""
         own = 0.0 if self.set is None else self.set.area
         return (self.outer.area - own) / self.outer.area if self.outer.area else 0.0
 
@@ -113,21 +114,21 @@ class MaximalSafeSet(Result):
 def maximal_safe_set(
     loop: ClosedLoop, *, slack: float = SLACK, max_iterations: int = MOST_ITERATIONS, prove: bool = True
 ) -> MaximalSafeSet:
-    """The maximal RPI set in X: S_0 = X, S_(k+1) = S_k without the states that some d in D carries out of S_k.
+    """The maximal RPI set in X: S_0 = X, S_(k+1) = S_k without the states that some d in D can drive out of S_k.
 
     Parameters
     ----------
     loop : ClosedLoop
-        With two states; modes may depend on u, jump, and differ in D.
+        With two states. Modes may depend on u and differ in D; the loop may be discontinuous.
     slack : float
-        By how much disturbance sets and lost parts are widened (a box of this half-width), relative to the
-        largest coordinate of X, its image and the disturbance sets, in units in which X reaches to between 1/2 and 1
-        along each axis. It has to exceed the rounding of GEOS, and the area that it costs should not be seen. At
-        least 1e-11.
+        Half-width of the box by which disturbance sets and lost parts are enlarged. It is relative to the largest
+        coordinate of X, its image and the disturbance sets, in units in which the largest |x_i| over X lies between 1/2
+        and 1 for each i. It must exceed the rounding errors of GEOS, and should be so small that the lost area is
+        negligible. At least 1e-11.
     max_iterations : int
         Largest k.
     prove : bool
-        Whether to prove the set in rational arithmetic. Without a proof the verdict is at best "unknown".
+        Whether to prove the set in rational arithmetic. Without a proof the verdict is "unknown" or "refuted".
 
     Returns
     -------
@@ -143,7 +144,7 @@ def maximal_safe_set(
     See Also
     --------
     safe_set : the largest one with a template, in any dimension; prove_rpi : the proof alone;
-    carried_out : one step of the iteration; largest_disturbance : how much disturbance leaves such a set.
+    carried_out : one step of the iteration; largest_disturbance : the largest disturbance with such a set.
 
     Examples
     --------
@@ -159,18 +160,19 @@ def maximal_safe_set(
 
     Notes
     -----
-    What is proven: `set` is RPI. `prove_rpi` shows that without rounding and without any of the code below.
-    If it fails, or the boundary of S_k has ever more corners, up to 10^4 times the slack is tried, and then none
-    at all, which suits sets that fit exactly; `slack`, `reason` and `given_up` report it.
+    What is proven: `set` is RPI. `prove_rpi` shows this without rounding and without any of the code below. If the
+    proof fails, or S_k has too many corners, slacks up to 10^4 times as large are tried, and finally a slack of 0,
+    which suits sets that are RPI without any margin. `slack`, `reason` and `given_up` report this.
 
-    What rests on floats: that `outer` holds every RPI set, and so that X holds none where it is empty. There
-    the iteration removes only states that are lost with a margin: lost sets are shrunk by the slack before
-    anything is taken to be carried into them, and the result is widened by it. The slack is thousands of times
-    the rounding of one operation, but that no rounding exceeds it is not proven. Where Phi rests on a boundary of
-    regions that involve u, or nearly so, floats do not tell which mode acts; then `outer` is X.
+    What rests on floats: `outer` contains every RPI set, so X contains none if `outer` is empty. For `outer` the
+    iteration removes only states that are lost with a margin: lost sets are shrunk by the slack before their preimages
+    are computed, and the result is enlarged by the slack. The slack is thousands of times as large as the rounding
+    error of one operation, but it is not proven that no rounding error exceeds it. If (x, Phi(x)) lies on, or very
+    close to, a boundary of regions that involve u for all states of a cell, floats do not determine which mode acts;
+    then `outer` is X.
 
-    On a boundary of regions every mode counts, so that a single line may be lost; the slack removes a thin strip
-    with it. The maximal set itself need not be closed; `set` and `outer` are.
+    On a boundary of regions every mode counts. A single line may therefore be lost; with the slack a thin strip around
+    it is removed. The maximal set itself need not be closed; `set` and `outer` are closed.
     """
     slack = positive_number(slack, "slack")
     max_iterations = whole_number(max_iterations, "max_iterations", 1)
@@ -210,15 +212,32 @@ def _maximal(plane: PlanarLoop, slack: float, max_iterations: int, prove: bool) 
 
 
 def _outer(plane: PlanarLoop, slack: float, max_iterations: int) -> Region:
-    """A region in own units that holds every RPI set: outside of it states are lost by more than the slack."""
+    """A region in own units that contains every RPI set: states outside of it are lost by more than the slack."""
     margin = slack * plane.size
     outer = _shrink(plane, -margin, max_iterations, MOST_LOST)[0][-1]
     outer = outer.sum(square(margin)) & plane.state_set if not outer.is_empty else outer
     return Region.of(plane.state_set) if _mode_in_doubt(plane) else outer
 
 
-def has_maximal_set(loop: ClosedLoop) -> bool:
-    """Whether the iteration of `maximal_safe_set` ends with a nonempty set, with the default slack.
+def limit_within(
+    loop: ClosedLoop, slack: float, start: Region | None = None, met: Sequence[Polytope] = ()
+) -> Region | None:
+    """The last set of the iteration of `maximal_safe_set` if it starts from a set within X; in the loop's own units.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    slack : float
+        Half-width of a box in own units; the default of `maximal_safe_set` where that is larger.
+    start : Region or None
+        In own units; None is X.
+    met : sequence of Polytope
+        Sets in the units of the user that every RPI set meets.
+
+    Returns
+    -------
+    Region or None
+        None if nothing is left, or less than meets all of `met`, or the iteration does not end.
 
     Raises
     ------
@@ -226,12 +245,13 @@ def has_maximal_set(loop: ClosedLoop) -> bool:
         If the loop has not two states, or Phi leaves U.
     """
     plane = PlanarLoop.of(loop)
-    history, unfinished = _shrink(plane, SLACK * plane.size, MOST_ITERATIONS, MOST_LOST)
-    return not unfinished and not history[-1].is_empty
+    own = hulls(Polygons.of([plane.units.polytope(F).vertices() for F in met]))
+    history, unfinished = _shrink(plane, max(slack, SLACK * plane.size), MOST_ITERATIONS, MOST_LOST, start, own)
+    return None if unfinished or history[-1].is_empty else history[-1]
 
 
 def carried_out(loop: ClosedLoop, S: Region | Polytope) -> Region:
-    """The states of X that some disturbance carries out of S: one step of the iteration, without slack.
+    """The states of X that some disturbance drives out of S in one step: one iteration, without slack.
 
     Parameters
     ----------
@@ -273,7 +293,7 @@ def carried_out(loop: ClosedLoop, S: Region | Polytope) -> Region:
     lost = []
     try:
         start = plane.start(S)
-        targets = Region(_with_area((X - start).shape)).simplices.points.reshape(-1, 3, 2)
+        targets = _triangles(X - start)
         for D, own in plane.disturbances:
             chosen = np.flatnonzero(own)
             lost += [_lost_outside(plane, chosen, D, 0.0), _lost_into(plane, chosen, D, targets, 0.0)]
@@ -290,12 +310,12 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
     loop : ClosedLoop
         With two states.
     region : Region or Polytope
-        Not empty. What is proven is proven of the union of its `pieces`, with the floats that their corners are.
+        Not empty. The proof is about the union of its `pieces`, whose corners are exactly the stored floats.
 
     Returns
     -------
     RegionCheck
-        "unknown" only if an image falls into too many parts.
+        The verdict is "unknown" only if an image falls into too many parts.
 
     Raises
     ------
@@ -306,7 +326,7 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
 
     See Also
     --------
-    check_rpi : of a Polytope, in any dimension, with every engine; maximal_safe_set : finds such a region.
+    check_rpi : the same for a Polytope, in any dimension, with every engine; maximal_safe_set : finds such a region.
 
     Examples
     --------
@@ -321,9 +341,9 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
 
     Notes
     -----
-    For every cell of the loop and every piece of the region: the image of their intersection, widened by D^(i),
-    less the pieces of the region has to be empty (`engines.exact_plane.first_escape`). Neither GEOS nor the float
-    cells are trusted; python-flint is, and the few lines of `sets/exact_polytopes.py`, `engines/exact_cells.py` and
+    For every cell of the loop and every piece of the region, the image of their intersection, enlarged by D^(i), minus
+    the pieces of the region must be empty (`engines.exact_plane.first_escape`). The proof does not depend on GEOS or on
+    the float cells. It depends on python-flint, `sets/exact_polytopes.py`, `engines/exact_cells.py` and
     `engines/exact_plane.py`.
     """
     require_kind(region, (Region, Polytope), "region")
@@ -355,10 +375,9 @@ def _check(loop: ClosedLoop, pieces: Polygons, scale: ArrayLike = (1.0, 1.0)) ->
 
 
 def _mode_in_doubt(plane: PlanarLoop) -> bool:
-    """Whether some cell touches a row of its mode's region along which u hardly depends on x.
+    """Whether some cell touches a row of its mode's region whose value hardly changes with x on the cell.
 
-    The float cells of such a mode may reach beyond the region by more than the slack, or be there although the
-    mode never acts.
+    The float cells of such a mode may exceed the region by more than the slack, or exist although the mode never acts.
     """
     found, near = plane.dynamics.cells, SLACK * plane.size
     domain = plane.state_set.product(plane.loop.system.input_set)
@@ -382,24 +401,46 @@ def _mode_in_doubt(plane: PlanarLoop) -> bool:
 
 
 def _shrink(
-    plane: PlanarLoop, slack: float, max_iterations: int, most_triangles: int = MOST_TRIANGLES
+    plane: PlanarLoop,
+    slack: float,
+    max_iterations: int,
+    most_triangles: int = MOST_TRIANGLES,
+    start: Region | None = None,
+    met: Shapes = NO_SHAPES,
 ) -> tuple[list[Region], str]:
-    """S_0, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
+    """S_0 = `start` or X, S_1, ..., and why the last of them is not the end of the sequence ("" if it is).
 
-    `slack` (own units of x) is positive for a set within the maximal one: D and what is lost are widened by it. It is
-    negative for a set around it: only what is lost by more than that counts as lost. At 0 there is no margin.
+    A set that does not meet all of `met`, which every RPI set meets, is replaced by the empty one.
+
+    `slack` (own units of x) is positive for an inner approximation of the maximal set: D and the lost sets are enlarged
+    by it. It is negative for an outer approximation: a state counts as lost only if it is lost by more than the slack.
+    With 0 there is no margin.
     """
-    history = [Region.of(_inset(plane.state_set, max(slack, 0.0)))]
+    history = [Region.of(_inset(plane.state_set, max(slack, 0.0))) if start is None else start]
     try:
-        return history, _shrunk(plane, slack, max_iterations, most_triangles, history)
-    except GEOSException as error:  # what was found before is found all the same
+        return history, _shrunk(plane, slack, max_iterations, most_triangles, history, start is not None, met)
+    except GEOSException as error:  # the sets found before remain valid
         return history, f"GEOS fails on S_{len(history)} ({error})"
 
 
-def _shrunk(plane: PlanarLoop, slack: float, max_iterations: int, most_triangles: int, history: list[Region]) -> str:
-    """Append S_1, S_2, ... to [S_0]; why the last of them is not the end of the sequence ("" if it is)."""
+def _shrunk(
+    plane: PlanarLoop,
+    slack: float,
+    max_iterations: int,
+    most_triangles: int,
+    history: list[Region],
+    smaller: bool,
+    met: Shapes,
+) -> str:
+    """Append S_1, S_2, ... to [S_0]; why the last of them is not the end of the sequence ("" if it is).
+
+    `smaller` says that S_0 is not all of X, so that what is carried into the rest of X is lost as well.
+    """
     lost = [_lost_outside(plane, np.flatnonzero(own), D, slack) for D, own in plane.disturbances]
     S, box = history[0], plane.state_set.bounding_box()
+    if smaller:
+        rest = _triangles(Region.of(plane.state_set) - S)
+        lost += [_lost_into(plane, np.flatnonzero(own), D, rest, slack) for D, own in plane.disturbances]
     for _ in range(max_iterations):
         gone = _union(lost, S, slack)
         following = Region(_within(_with_area(overlay(shapely.difference, S.shape, gone)), *box))
@@ -408,14 +449,16 @@ def _shrunk(plane: PlanarLoop, slack: float, max_iterations: int, most_triangles
             if fresh.area:
                 history.append(following)
             return ""
+        if not shapely.intersects(following.shape, met).all():
+            following = Region(shapely.Polygon())
         history.append(following)
         if following.is_empty:
             return ""
-        if len(following.simplices) > most_triangles:
+        if _triangle_count(following.shape) > most_triangles:
             return f"S_{len(history) - 1} has more than {most_triangles} triangles"
         if slack < 0:
             fresh = S.sum(square(-slack)) - following.sum(square(-slack))
-        targets = Region(_with_area(fresh.shape)).simplices.points.reshape(-1, 3, 2)
+        targets = _triangles(fresh)
         shapely.prepare(following.shape)
         alive = shapely.dwithin(following.shape, plane.shapes, abs(slack))
         lost = [
@@ -426,7 +469,7 @@ def _shrunk(plane: PlanarLoop, slack: float, max_iterations: int, most_triangles
 
 
 def _lost_outside(plane: PlanarLoop, chosen: IntArray, D: Polytope, slack: float) -> Polygons:
-    """The parts of the chosen cells that D can carry out of X: Polygons."""
+    """The parts of the chosen cells that D can drive out of X: Polygons."""
     X, every = plane.state_set, plane.dynamics
     polygons, found = plane.polygons.take(chosen), []
     limits = X.h - D.support(X.H) - slack * np.abs(X.H).sum(axis=1)
@@ -436,7 +479,7 @@ def _lost_outside(plane: PlanarLoop, chosen: IntArray, D: Polytope, slack: float
 
 
 def _lost_into(plane: PlanarLoop, chosen: IntArray, D: Polytope, targets: Array, slack: float) -> Polygons:
-    """The parts of the chosen cells that D, widened by a box of half-width `slack`, can carry into triangles.
+    """The parts of the chosen cells that D, enlarged by a box of half-width `slack`, can drive into triangles.
 
     M x + c + d lies in the triangle T for some d exactly if M x + c lies in T + (-D), whose sides have the normals
     of T and of -D.
@@ -461,7 +504,7 @@ def _lost_into(plane: PlanarLoop, chosen: IntArray, D: Polytope, targets: Array,
 
 
 def _union(lost: list[Polygons], S: Region, slack: float) -> Shape:
-    """The union of those lost polygons that meet S; flat ones count only for a set within the maximal one."""
+    """The union of those lost polygons that meet S; polygons without area count only for an inner approximation."""
     polygons = Polygons.join(lost)
     if slack <= 0:
         polygons = polygons.take(np.flatnonzero(shapely.get_dimensions(hulls(polygons)) == 2))
@@ -471,7 +514,7 @@ def _union(lost: list[Polygons], S: Region, slack: float) -> Shape:
 
 
 def _is_thin(fresh: Region, S: Region, slack: float) -> bool:
-    """Whether what is lost freshly lies within half the slack of what was lost before, which the slack covers."""
+    """Whether the newly lost set lies within half the slack of the sets lost before, so that the slack covers it."""
     if not fresh.area:
         return True
     if fresh.area > slack * shapely.length(S.shape):
@@ -482,7 +525,8 @@ def _is_thin(fresh: Region, S: Region, slack: float) -> bool:
 def _inset(X: Polytope, slack: float) -> Polytope:
     """X with those sides moved inward whose corners, rounded to floats, might lie outside of X.
 
-    Rows x_i <= h, which hold for a float or not, stay: in own units those of an entry that is a power of two.
+    Rows x_i <= h are not moved, since a float satisfies them without rounding. In own units these are the rows whose
+    only entry is 1 or -1.
     """
     kept = [sorted(np.abs(a)) == [0, 1] for a in X.H]
     return Polytope(X.H, X.h - np.where(kept, 0.0, slack) * np.linalg.norm(X.H, axis=1))
@@ -494,8 +538,21 @@ def _with_area(shape: Shape) -> Shape:
     return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
 
 
+def _triangles(R: Region) -> Array:
+    """The triangles (T, 3, 2) of the part of a region that has an area."""
+    return Region(_with_area(R.shape)).simplices.points.reshape(-1, 3, 2)
+
+
+def _triangle_count(shape: Shape) -> int:
+    """The number of triangles that the polygons of a shapely geometry fall into: corners - 2 + 2 holes for each."""
+    parts = shapely.get_parts(shape)
+    holes = shapely.get_num_interior_rings(parts).sum()
+    corners = shapely.get_num_coordinates(parts).sum() - len(parts) - holes  # each ring names one of them twice
+    return int(corners - 2 * len(parts) + 2 * holes)
+
+
 def _within(shape: Shape, lower: Array, upper: Array) -> Shape:
-    """A shapely geometry in the box that it lies in up to rounding: the grid of GEOS may move corners out of it."""
+    """A shapely geometry, restricted to a box that contains it up to rounding: GEOS's grid may move corners outside."""
     points = shapely.get_coordinates(shape)
     if (points >= lower).all() and (points <= upper).all():
         return shape

@@ -1,4 +1,4 @@
-"""The scaled minimal RPI set of Sec. IV.B, from the forward sequence that starts in a point."""
+"""The scaled minimal RPI set of Sec. IV.B, from the forward sequence that starts at a point."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ from .safe_set import SafeSet, set_to_start_from
 
 @dataclass(frozen=True, eq=False)
 class MinimalSet(Result):
-    """Answer of `scaled_minimal_set`.
+    """Result of `scaled_minimal_set`.
 
     Attributes
     ----------
@@ -35,8 +35,8 @@ class MinimalSet(Result):
     verdict : Verdict
         Whether `set` is RPI.
     reached_at : int or None
-        First j with R_j-bar(F_max) in `set`: it may serve as terminal set then. None if there is none
-        (or no F_max was given).
+        First j with R_j-bar(F_max) in `set`; then `set` may be used as terminal set. None if there is no such j, or no
+        F_max was given.
     reason : str
     """
 
@@ -92,7 +92,7 @@ def scaled_minimal_set(
 
     See Also
     --------
-    terminal_set : needs no scaling, and starts from F_max.
+    terminal_set : starts from F_max and needs no scaling.
 
     Examples
     --------

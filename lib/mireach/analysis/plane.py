@@ -1,4 +1,4 @@
-"""Loops with two states: the loop in its own units with its cells, and what the computations in the plane share.
+"""Loops with two states: the loop in its own units, its cells, and functions that several computations share.
 
 Everything is computed in the loop's own units (`units.own_units`) and scaled back by powers of two, without rounding.
 The answers therefore do not depend on the units of the states, the inputs and the disturbances.
@@ -40,7 +40,7 @@ class PlanarLoop:
 
     See Also
     --------
-    PlanarLoop.of : makes it from a loop in the units of the user.
+    PlanarLoop.of : constructs it from a loop in the units of the user.
     """
 
     units: Units
@@ -48,7 +48,7 @@ class PlanarLoop:
 
     @staticmethod
     def of(loop: ClosedLoop) -> PlanarLoop:
-        """The planar loop of a closed loop, after everything that the computations in the plane require was checked.
+        """The planar loop of a closed loop, after all requirements of the computations for two states were checked.
 
         Raises
         ------
@@ -84,19 +84,19 @@ class PlanarLoop:
 
     @cached_property
     def size(self) -> float:
-        """The largest coordinate of X, its image and the disturbance sets: what `slack` and widenings refer to."""
+        """The largest coordinate of X, its image and the disturbance sets; slacks are relative to it."""
         points, owner = self.polygons.points, self.polygons.owner
         parts = points, self.dynamics.images(points, owner), *self.dynamics.corners
         return float(max(np.abs(part).max(initial=0.0) for part in parts))
 
     @cached_property
     def touch(self) -> float:
-        """Distance between states within which closed sets touch: relative to X, above the rounding of its image."""
+        """Closed sets within this distance touch: relative to X, above the rounding of its image."""
         return max(TOUCH * float(np.abs(self.polygons.points).max(initial=0.0)), HALF_PLANE * self.size)
 
     @cached_property
     def disturbances(self) -> list[tuple[Polytope, NDArray[np.bool_]]]:
-        """Every different disturbance set D, with the cells in which it acts: array (N,) of bool."""
+        """The different disturbance sets D, each with the cells in which it acts: array (N,) of bool."""
         groups: dict[Polytope, list[int]] = {}
         for number, mode in enumerate(self.loop.system.modes):
             groups.setdefault(mode.disturbance, []).append(number)
@@ -110,7 +110,7 @@ class PlanarLoop:
         return own & self.state_set
 
     def in_user_units(self, R: Region) -> Region:
-        """A region in own units in those of the user."""
+        """A region in own units, converted to the units of the user."""
         return rescaled(R, self.units.state)
 
 

@@ -13,9 +13,9 @@ from ..engines.units import own_units
 from ..errors import SolverStopped
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from ..typing import ArrayLike
+from ..typing import Array, ArrayLike
 
-LEAST_TIME = 1e-3  # seconds that are left to an engine where the check of the inputs took all of its time
+LEAST_TIME = 1e-3  # seconds for an engine if the check of the inputs took all of its time
 
 
 def support(
@@ -34,8 +34,8 @@ def support(
     ----------
     loop : ClosedLoop
     F : Polytope
-        Where trajectories start. States outside X have no successor: F & X counts, and at every later
-        step only what stays in X goes on.
+        Initial states. States outside X have no successor, so the trajectories start in F & X, and at every later step
+        only states in X have successors.
     V : array (k, n)
         Directions, one per row.
     steps : int
@@ -44,9 +44,10 @@ def support(
         An engine with its settings, such as `Milp(time_limit=60)`; "cells", "milp", "exact" or "cvxpy" for one with
         its defaults; None for the cells if there are few enough, else the MILP (`Support.engine` says which).
     cutoff : array (k,) or None
-        Where the only question is whether h exceeds this: an engine may stop at any bound that does not.
+        Give it if only the question whether h exceeds this matters: an engine may stop at any bound that does not
+        exceed it.
     warm_start : Support or None
-        An earlier answer for the same loop, V and steps, and a set that holds F.
+        An earlier result for the same loop, V and steps, and a set that contains F.
 
     Returns
     -------
@@ -58,7 +59,8 @@ def support(
     TypeError
         If an argument is of another kind.
     ValueError
-        If sizes do not match, the engine has another name, `warm_start` answers another question, or Phi leaves U.
+        If sizes do not match, the engine has another name, `warm_start` is the result of another query, or Phi leaves
+        U.
     SolverStopped
         If a time limit stopped the engine; its `support` holds the bounds so far.
 
@@ -97,8 +99,51 @@ def support(
     return units.support(found, factor, engine, query)
 
 
+def cut_support(loop: ClosedLoop, F: Polytope, V: ArrayLike, engine: Engine | str | None = None) -> Array:
+    """Upper bounds of the support function of R_1(F) & X along the rows of V.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+    V : array (k, n)
+        Directions, one per row.
+    engine : Engine, str or None
+        As in `support`; one that has `Engine.cut_support`.
+
+    Returns
+    -------
+    array (k,)
+        -inf where no state of F has a successor in X.
+
+    Raises
+    ------
+    ValueError
+        If the engine has no such bounds, sizes do not match, or Phi leaves U.
+
+    See Also
+    --------
+    support : of all of R_1(F), with witnesses.
+
+    Examples
+    --------
+    >>> import mireach as mr
+    >>> loop = mr.case_study("pwa").loop  # X is the box |x|_inf <= 10
+    >>> V = mr.directions(8)
+    >>> whole, cut = mr.support(loop, loop.system.state_set, V).bound, cut_support(loop, loop.system.state_set, V)
+    >>> bool((cut <= whole + 1e-9).all()), bool((cut < whole - 0.1).any())
+    (True, True)
+    """
+    engine = engine_for(loop, engine)
+    V, _ = checked_query(loop, F, V, 1)
+    units = own_units(loop)
+    rows, factor = units.rows(V)
+    require_inputs(loop, engine.time_limit)
+    return engine.cut_support(units.loop, units.polytope(F), rows) / factor
+
+
 def _require_warm_start(warm_start: Support, query: Query) -> None:
-    """Raise ValueError unless the bounds of an earlier answer hold for this question."""
+    """Raise ValueError unless the bounds of an earlier result are valid for this query."""
     require_kind(warm_start, Support, "warm_start")
     before = warm_start.query
     if (
@@ -180,7 +225,7 @@ def outer_reach(
     Warns
     -----
     UserWarning
-        If a set leaves X: the sets that follow hold only trajectories that stay in X.
+        If a set leaves X: the later sets contain only trajectories that stay in X.
 
     See Also
     --------

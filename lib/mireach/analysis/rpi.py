@@ -20,23 +20,23 @@ from .comparison import Comparison, compare
 
 @dataclass(frozen=True, eq=False)
 class RPICheck(Result):
-    """Answer of `check_rpi`.
+    """Result of `check_rpi`.
 
     Attributes
     ----------
     verdict : Verdict
     margin : array (l,)
-        At most h - h of R_1(F) along H, from the proven bound; negative where a facet is not shown to hold.
-        The MILP stops as soon as a facet is proven, so that its positive margins may be far smaller than the true
-        distance; the cells give that.
+        Lower bound on the distance h - h_(R_1(F))(H), from the proven bound; negative where a facet is not shown to
+        hold. The MILP stops as soon as a facet is proven, so its positive margins may be far smaller than the true
+        distance. The margins of the cells are accurate.
     witness : Witness or None
-        A step that leaves F, where the verdict is "refuted"; no step but the state alone, where F has states
-        outside X. Its state and disturbance lie in their sets as the floats that they are, and the step passes
-        the facet without rounding, unless F or D is so thin that no floats do. `witness.exact` is the step in
-        fractions.
+        A step that leaves F, if the verdict is "refuted"; the state alone, if F has states outside X. The state and the
+        disturbance are floats that lie in their sets, and the step exceeds the facet in exact arithmetic, unless F or D
+        is so thin that there are no such floats. `witness.exact` is the step in fractions.
     reason : str
     settled : str
-        What the verdict rests on: "exact arithmetic", "rounding counted", or a tolerance in words.
+        What the verdict rests on: "exact arithmetic", "rounding counted" (bounds that include all rounding errors), or
+        a tolerance.
     """
 
     verdict: Verdict
@@ -66,9 +66,9 @@ def check_rpi(
     engine : Engine, str or None
         As in `support`.
     tol : float or None
-        A facet holds if bound <= h + tol, in units of h. None allows nothing where exact arithmetic can decide what
-        rounding leaves in doubt: for two states, and for more if the loop has few cells. Otherwise None allows the
-        engine's resolution: 1e-6 of the size of X for the MILP.
+        A facet holds if bound <= h + tol, in units of h. None means no tolerance if exact arithmetic can decide where
+        rounding leaves a doubt: for two states, and for more if the loop has few cells. Otherwise it means the
+        resolution of the engine: 1e-6 of the size of X for the MILP.
 
     Returns
     -------
@@ -144,14 +144,14 @@ def outside(loop: ClosedLoop, F: Polytope) -> RPICheck | None:
 
 
 def exact_excess(witness: Witness, v: Array, limit: float) -> Rational:
-    """By how much the exact step of a witness passes v x <= limit, as an fmpq."""
+    """By how much the exact step of a witness exceeds the limit of v x <= limit, as an fmpq."""
     if witness.exact is None or witness.exact.after is None:
         raise ValueError("the witness holds no step in fractions")
     return dot(binary(v), rational(witness.exact.after)) - binary(limit)
 
 
 def decimal_hint(loop: ClosedLoop, v: Array, excess: Rational) -> str:
-    """What to add to a message where a limit is passed by no more than the rounding of decimals to floats."""
+    """Addition to a message if a limit is exceeded by no more than the rounding of decimals to floats."""
     weight = own_units(loop).rows(np.asarray(v, float)[None])[1][0]
     if abs(nearest(excess)) * weight > CLEAR:
         return ""

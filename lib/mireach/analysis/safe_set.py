@@ -1,4 +1,4 @@
-"""The safe set F_max (Prop. Fmax): the largest RPI set that the template iteration finds within X."""
+"""The safe set F_max (Prop. 3, Fmax): the RPI set in X that the iteration with a template finds."""
 
 from dataclasses import dataclass
 
@@ -16,28 +16,29 @@ from ..systems.loop import ClosedLoop
 from ..typing import ArrayLike
 from .arguments import template, tolerance, with_rows
 from .comparison import compare
+from .reach import cut_support
 from .rpi import decimal_hint, exact_excess
 
 
 @dataclass(frozen=True, eq=False)
 class SafeSet(Result):
-    """Answer of `safe_set`.
+    """Result of `safe_set`.
 
     Attributes
     ----------
     set : Polytope or None
         F_max; None if none was found.
     iterations : int
-        k with F_max = F_k.
+        The k with F_max = F_k.
     history : list of Polytope
         F_0 = X, F_1, ...
     verdict : Verdict
-        "refuted": the sequence has come to a set that it cannot leave and that is not RPI, or to the
-        empty set, so it finds none with this template.
+        "refuted": the sequence has stopped at a set that is not RPI, or at the empty set, so it finds no safe set with
+        this template.
     reason : str
     witness : Witness or None
-        Where no set was found: a state of the last F_k, its input, mode and disturbance, whose image
-        leaves X.
+        If no set was found: a state of the last F_k with its input, mode and disturbance, whose successor lies outside
+        X.
     settled : str
         As in `RPICheck`.
     """
@@ -61,21 +62,26 @@ def safe_set(
     *,
     max_iterations: int = 200,
     tol: float | None = None,
+    cut_first: bool = False,
     progress: bool = False,
 ) -> SafeSet:
-    """F_max of Prop. Fmax: iterate F_(k+1) = R_1-bar(F_k) & X from F_0 = X until R_1(F_k) lies in X (eq. (21), Fk).
+    """F_max of Prop. 3, Fmax: iterate F_(k+1) = R_1-bar(F_k) & X from F_0 = X until R_1(F_k) lies in X (eq. (21), Fk).
 
     Parameters
     ----------
     loop : ClosedLoop
     C : array (l, n) or None
-        Template; None is 8 directions in the plane and (I, -I) otherwise. Rows of X that it lacks are
-        added: the sets lie in X.
+        Template; None is 8 directions in the plane and (I, -I) otherwise. Rows of X that it does not contain are added,
+        so that the sets lie in X.
     engine : Engine, str or None
         As in `support`.
     max_iterations : int
     tol : float or None
         As in `check_rpi`.
+    cut_first : bool
+        Intersect with X before the template covers the image, not after it: F_(k+1) = F_k & (the smallest set of the
+        template around R_1(F_k) & X). Often fewer iterations, and a set where eq. (21), Fk, finds none. Not the
+        paper's F_max. For engines with `Engine.cut_support`, i.e. the cells.
     progress : bool
         Show a progress bar.
 
@@ -88,7 +94,7 @@ def safe_set(
     TypeError
         If an argument is of another kind.
     ValueError
-        If Phi leaves U, or an argument does not fit.
+        If Phi leaves U, an argument does not fit, or the engine cannot cut first.
 
     See Also
     --------
@@ -103,8 +109,13 @@ def safe_set(
 
     Notes
     -----
-    F_(k+1) is a subset of F_k, so R_1-bar(F_k) is one of F_k exactly when it is one of X. What remains
-    of R_1(F_k) in F_k follows by monotonicity: F_k in F_(k-1) gives R_1(F_k) in R_1-bar(F_(k-1)).
+    The stopping rule R_1(F_k) in X implies that F_k is RPI. F_k = R_1-bar(F_(k-1)) & X. Since F_k lies in F_(k-1),
+    R_1(F_k) lies in R_1-bar(F_(k-1)) by monotonicity. If it also lies in X, it lies in F_k.
+
+    With `cut_first`, R_1(F_k) in X gives R_1(F_k) in R_1(F_j) & X for all j < k, since F_k in F_j. Each of
+    these sets lies in its cover, and F_k is the intersection of the covers and X: F_k is RPI. "proven" does not rest on
+    this: R_1(F_k) in F_k is checked by itself. For the same k, F_k lies in that of eq. (21), Fk, so the iteration
+    with `cut_first` ends no later.
     """
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
     V = with_rows(template(loop, C), loop.system.state_set.H)
@@ -112,25 +123,31 @@ def safe_set(
     limit, weights = X.offsets(V), own_units(loop).rows(V)[1]
     h, history = X.bound(V), [X]
     image: Support | None = None
-    believed = False  # whether a set of the history rests on a solver
+    if cut_first and not engine.cuts:
+        raise ValueError(f'the engine "{engine.name}" cannot cut first: it has no cut_support; use engine="cells"')
+    believed = cut_first  # whether R_1(F_k) in F_k is settled for itself: a bound may be a solver's, or one within X
     with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
         for k in range(max_iterations + 1):
             found = compare(loop, history[-1], V, limit, engine, tol, warm_start=image)
             if found.stopped:
                 return SafeSet(None, k, history, Verdict.UNKNOWN, found.stopped.removeprefix("; "), None)
             if found.holds.all():
-                if believed:  # F_k may be smaller than the image of F_(k-1): that it is RPI is settled for itself
+                if believed:  # F_k may be smaller than the image of F_(k-1), so whether it is RPI is decided separately
                     found = compare(loop, history[-1], V, history[-1].offsets(V), engine, tol)
                 if not found.holds.all():
-                    reason = f"R1(F{k}) lies in X, but not in F{k}: a bound that rests on {SOLVER} was wrong"
+                    rests = found.found.rests_on
+                    reason = f"R1(F{k}) lies in X, but not in F{k}: a bound of {engine.name} was wrong ({rests})"
                     return SafeSet(None, k, history, Verdict.UNKNOWN, reason, None)
                 reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
                 return SafeSet(history[-1], k, history, Verdict.PROVEN, reason, None, found.settled)
             image, smaller = found.found, np.minimum(found.bound, h)
+            if cut_first:
+                smaller = np.minimum(cut_support(loop, history[-1], V, engine), h)
             believed |= image.rests_on == SOLVER
-            following = Polytope(V, smaller)
+            following = None if (smaller == -np.inf).any() else Polytope(V, smaller)
+            empty = following is None or following.is_empty
             rests = (smaller >= h - (image.resolution if tol is None else tol)).all()
-            if rests or following.is_empty or k == max_iterations:
+            if following is None or rests or empty or k == max_iterations:
                 break
             h, history = smaller, [*history, following]
             bar.update()
@@ -146,7 +163,7 @@ def safe_set(
         verdict = Verdict.REFUTED if escape is not None and still else Verdict.UNKNOWN
         within = "" if still else f" to within {((h - smaller) * weights).max():.1g} of the size of X"
         reason = f"F{k + 1} = F{k}{within}, yet {leaves}"
-    elif following.is_empty:
+    elif empty:
         verdict, reason = Verdict.REFUTED, f"F{k + 1} is empty: {leaves}"
     else:
         verdict, reason = Verdict.UNKNOWN, f"max_iterations = {max_iterations} came first; {leaves}"

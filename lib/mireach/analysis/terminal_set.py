@@ -25,24 +25,24 @@ from .safe_set import SafeSet, set_to_start_from
 
 @dataclass(frozen=True, eq=False)
 class TerminalSet(Result):
-    """Answer of `terminal_set`.
+    """Result of `terminal_set`.
 
     Attributes
     ----------
     set : Polytope
-        R_k-bar(F_max), RPI and reached from all of F_max within `steps` steps, whatever `criterion` says.
+        R_k-bar(F_max). It is RPI and reached from all of F_max within `steps` steps, even if `criterion` is False.
     steps : int
-        The k of it.
+        The k of `set`.
     history : list of Polytope
         R_0-bar = F_max, R_1-bar, ..., `set`.
     criterion : bool
-        Whether eq. (25), TerminationFmin holds about `centre`: the set is then within 1 + `epsilon` of the limit.
+        Whether eq. (25), TerminationFmin, holds about `centre`. Then the set lies in the limit scaled by 1 + `epsilon`.
     reason : str
         Why the sequence ended.
     epsilon : float
     centre : array (n,)
     alpha : float
-        Largest alpha with alpha R_k-bar in R_(k-1)-bar, both seen from `centre` (eq. (26), StabCondFmin);
+        Largest alpha with alpha R_k-bar in R_(k-1)-bar, both relative to `centre` (eq. (26), StabCondFmin);
         nan if the centre is not inside R_k-bar.
     delta_max : float
         Radius of the tube of Theorem 1's proof (units of x); nan with alpha.
@@ -51,7 +51,7 @@ class TerminalSet(Result):
     alphas : array (steps,)
         alpha at k = 1, ..., `steps`, rounded down.
     settled : str
-        What it rests on that every set of the sequence is RPI and reached from F_max, as in `RPICheck`.
+        What the statement that every set of the sequence is RPI and reached from F_max rests on, as in `RPICheck`.
     """
 
     set: Polytope
@@ -98,12 +98,12 @@ def terminal_set(
     safe : SafeSet or Polytope
         F_max, or any set that `check_rpi` proves.
     C : array (l, n) or None
-        As in `safe_set`. Rows of F_max that it lacks are added, so that R_1-bar(F_max) lies in F_max.
+        As in `safe_set`. Rows of F_max that it does not contain are added, so that R_1-bar(F_max) lies in F_max.
     epsilon : float
         Positive.
     centre : "origin", "equilibrium" or array (n,)
-        About which eq. (25), TerminationFmin scales. The paper's origin fails where the closed loop's
-        equilibrium is another point: the sequence converges, but not towards the origin.
+        Centre of the scaling in eq. (25), TerminationFmin. With the origin, as in the paper, the rule may fail if the
+        equilibrium of the closed loop is another point: the sequence converges, but not towards the origin.
     engine : Engine, str or None
         As in `support`.
     max_steps : int
@@ -121,14 +121,14 @@ def terminal_set(
     TypeError
         If an argument is of another kind.
     ValueError
-        If `safe` holds no proven set or one of another loop, epsilon is not positive, or no equilibrium
-        was found.
+        If `safe` contains no proven set, or the set of another loop, epsilon is not positive, or no equilibrium was
+        found.
     SolverStopped
         If a limit stopped the solver.
 
     See Also
     --------
-    contraction : a larger alpha for the same set.
+    contraction : alpha from the set alone; it may be larger.
     ultimately_bounded : Theorem 2.
 
     Examples
@@ -141,9 +141,9 @@ def terminal_set(
 
     Notes
     -----
-    With S = c + (R_k-bar - c) / (1 + epsilon), c in R_k-bar, S in R_1-bar(S) implies by monotonicity that
-    S lies in R_j-bar(F_max) for all j, so the limit is within R_k-bar, and R_k-bar within
-    c + (1 + epsilon) (limit - c). What S must lie in is taken from attained values, not from bounds.
+    With S = c + (R_k-bar - c) / (1 + epsilon), c in R_k-bar, S in R_1-bar(S) implies by monotonicity that S lies in
+    R_j-bar(F_max) for all j. So the limit lies in R_k-bar, and R_k-bar lies in c + (1 + epsilon) (limit - c). The
+    offsets of R_1-bar(S) are attained values here, not upper bounds.
     """
     F = set_to_start_from(safe)
     epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
@@ -208,10 +208,10 @@ def _is_near_limit(
     c: Array,
     engine: Engine,
 ) -> bool:
-    """Eq. (25), TerminationFmin about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
+    """Eq. (25), TerminationFmin, about c: S = c + (R - c) / (1 + epsilon) lies in R_1-bar(S).
 
-    `reach` and `after` are upper bounds on the support functions of R and of R_1(R) along V. What S must lie in is
-    attained by steps in rational numbers.
+    `reach` and `after` are upper bounds on the support functions of R and of R_1(R) along V. The offsets of R_1-bar(S)
+    must be attained by steps in rational numbers.
     """
     middle = V @ c
     if (middle + (reach - middle) / (1 + epsilon) > after + 4 * rounding(V, c, reach, after)).any():

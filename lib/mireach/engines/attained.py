@@ -1,7 +1,7 @@
 """Trajectories that are attained without rounding: float states are tried, and moved inward where necessary.
 
-Points of linear programs lie outside their sets by the solver's tolerance, and far outside at the tip of a needle. A
-value counts as attained here only if its trajectory satisfies every constraint in rational arithmetic.
+Solutions of linear programs may lie outside their sets by the solver's tolerance, and far outside at the tip of a very
+thin set. A value counts as attained here only if its trajectory satisfies every constraint in rational arithmetic.
 """
 
 from collections.abc import Iterator, Sequence
@@ -96,7 +96,7 @@ def attained(
     inputs : bool
         The value is v u(0) instead of v x(k).
     end : float
-        The `perf_counter` after which each path is tried once only.
+        The value of `perf_counter` after which each path is tried only once.
     """
     best, direction = None, rational.binary(v)
     for starts in (_itself, _towards_the_middle, _inside_of_its_piece, _best_of_pieces):
@@ -138,7 +138,7 @@ def _inside_of_its_piece(loop: ClosedLoop, F: Polytope, v: Point, path: Path) ->
 
 
 def _best_of_pieces(loop: ClosedLoop, F: Polytope, v: Point, path: Path) -> Iterator[Point | None]:
-    """The best states of whole pieces of the loop: that of x and, as channels may tie there, those beside it."""
+    """The best states of whole affine pieces: the piece around x and, as channels may tie there, its neighbours."""
     x, seen = path.start, set[tuple[int, ...]]()
     for near in [x, *(x + BESIDE * (corner - x) for corner in _corners(F))] if path.modes else ():
         yield _best_of_piece(loop, F, v, path._replace(start=near), seen)
@@ -159,7 +159,7 @@ def _corners(P: Polytope) -> Array:
 
 
 def _part(loop: ClosedLoop, F: Polytope, path: Path) -> Polytope:
-    """The part of F on which the channels that win along a trajectory from x keep winning and its modes keep acting.
+    """The part of F with the same largest channels and the same modes as along a trajectory from x.
 
     All values are affine functions of x(0) there: E x(0) + e.
     """
@@ -192,7 +192,7 @@ def _part(loop: ClosedLoop, F: Polytope, path: Path) -> Polytope:
 
 @lru_cache(maxsize=4 * CACHED)
 def _centre(P: Polytope) -> Array | None:
-    """The centre of a large ball in P, or where P is flat a point inside of all rows that allow it; None if empty."""
+    """The centre of a large ball in P; for a flat P a point strictly inside all rows that allow it; None if empty."""
     length, n = np.linalg.norm(P.H, axis=1), P.dimension
     for ball in (True, False):
         lp = LinearProgram()

@@ -110,7 +110,7 @@ class Support(Result):
     engine : str
         The name of the engine. `mireach.support` sets it.
     source : Support or None
-        The engine's own answer, in the units of `units.own_units`: a warm start for a smaller set. `mireach.support`
+        The result of the engine, in the units of `units.own_units`: a warm start for a smaller set. `mireach.support`
         sets it.
     query : Query or None
         The arguments, in the user's units. `mireach.support` sets it.
@@ -139,7 +139,7 @@ class Engine(ABC):
     Attributes
     ----------
     name : str
-        How messages and reports call the engine.
+        The name of the engine in messages and reports.
     resolution : float
         `bound` may lie above the true value by this much, relative to the size of X. A bound that exceeds a limit by
         less is a tie. 0 for engines whose error is of the order of rounding.
@@ -150,17 +150,17 @@ class Engine(ABC):
 
     Notes
     -----
-    `mireach.support` checks the arguments, converts the loop, F, V and the cutoff into units of the loop's own
+    `mireach.support` checks the arguments, converts the loop, F, V and the cutoff into the loop's own units
     (`units.own_units`), checks that Phi lies in U, calls `support`, and converts the answer back. So an engine never
-    sees the units of the user, and tolerances relative to 1 are relative to the size of X. `source` and `query` of
-    the answer are set there, too.
+    sees the units of the user, and tolerances relative to 1 are relative to the size of X. `source` and `query` of the
+    answer are set there, too.
 
-    Two promises make the results of the package proofs, whatever the engine:
+    The results of the package are proofs for every engine that guarantees two properties:
 
-    - No trajectory from F exceeds `bound`, on shared boundaries for none of the modes. An engine that has no bound
-      along a row returns inf there. `rests_on` says what the bound rests on: `EXACT` without rounding, `COUNTED` if
-      all rounding errors are counted, `SOLVER` if a solver is trusted. With `SOLVER`, the analyses do not call a
-      property proven without a second check.
+    - No trajectory from F exceeds `bound`, for any mode on a shared boundary. An engine that has no bound along a row
+      returns inf there. `rests_on` says what the bound rests on: `EXACT` without rounding, `COUNTED` if bounds on all
+      rounding errors are included, `SOLVER` if a solver is trusted. With `SOLVER`, the analyses do not call a property
+      proven without a second check.
     - `value` is attained by `witness`, a trajectory from F & X whose states before the last lie in X.
 
     An engine may be called from several threads and must not change its arguments. Keep random numbers reproducible:
@@ -215,7 +215,7 @@ class Engine(ABC):
 
     @property
     def software(self) -> str:
-        """The program that computes the bounds, as a certificate names it."""
+        """The name of the program that computes the bounds, for certificates."""
         return self.name
 
     def within(self, seconds: float) -> "Engine":
@@ -266,8 +266,35 @@ class Engine(ABC):
         Raises
         ------
         SolverStopped
-            If `time_limit` came first; its `support` holds the bounds so far.
+            If `time_limit` was reached first; its `support` holds the bounds so far.
         """
+
+    def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
+        """Upper bounds of the support function of R_1(F) & X along the rows of V. An engine may lack this method.
+
+        Parameters
+        ----------
+        loop : ClosedLoop
+        F : Polytope
+        V : array (k, n)
+            All three as in `support`.
+
+        Returns
+        -------
+        array (k,)
+            -inf where no state of F has a successor in X.
+
+        Raises
+        ------
+        ValueError
+            If the engine has no such bounds.
+        """
+        raise ValueError(f'the engine "{self.name}" has no bounds of R_1(F) & X (cut_support); use engine="cells"')
+
+    @property
+    def cuts(self) -> bool:
+        """Whether the engine has `cut_support`."""
+        return type(self).cut_support is not Engine.cut_support
 
 
 class LazySequence(Sequence[T], Generic[T]):

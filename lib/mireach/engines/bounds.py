@@ -38,8 +38,8 @@ def upper_bound(
     constant : float
     method : "interval", "lp" or "tight"
         From the bounds of the single variables; or from all constraints by one LP; or, if the bound of the LP is
-        positive and there are binaries, by the dual bound of a MILP of at most `NODES` nodes. The costlier methods are
-        left out where the bound is already not positive, and after `lp.end`.
+        positive and there are binaries, by the dual bound of a MILP of at most `NODES` nodes. The more expensive
+        methods are skipped where the bound is already not positive, and after `lp.end`.
     error : float
         The function differs from the one with these coefficients by at most this, on all points of the relaxation.
 
@@ -61,7 +61,7 @@ def upper_bound(
         if method == "tight" and lp.binaries and bound > 0:
             found = lp.maximize_integer(columns, row, gap=SAFETY, nodes=NODES)
             bound = _safe(found.bound, constant, error, bound)
-    except SolverError:  # flat sets can leave a solver undecided; the interval holds in any case
+    except SolverError:  # for flat sets the solver may give no answer; the interval bound holds anyway
         return interval
     return bound
 
@@ -91,8 +91,8 @@ def _safe(found: float, constant: float, error: float, earlier: float) -> float:
 def proven_support(P: Polytope, V: ArrayLike) -> Array:
     """Upper bounds (k,) of h_P along the rows of V, for a bounded Polytope: weak duality, rounding counted.
 
-    They lie above `Polytope.bound` by a few of the last digits. That takes longer, and is used where the multipliers
-    prove nothing.
+    They exceed `Polytope.bound` by a few units in the last place. `Polytope.bound` takes longer; it is used where the
+    multipliers prove nothing.
     """
     lp, x = _program(P)
     rows = np.asarray(V, float)

@@ -1,8 +1,8 @@
 """The exact cells of a closed loop in the plane.
 
-Under a maxout network a piecewise-affine system with two states is again piecewise affine: X falls into
-convex polygons, the cells, on each of which one mode acts and Phi is affine. The support function of the
-reachable set is then a maximum over the vertices of (cell & F), without a MILP.
+Under a maxout network the loop of a piecewise-affine system with two states is again piecewise affine: X is divided
+into convex polygons, the cells, on each of which one mode acts and Phi is affine. The support function of the reachable
+set is then a maximum over the vertices of (cell & F), without a MILP.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ..errors import CellLimitError
+from ..errors import CellLimitError, SolverError
 from ..sets.kernels import affine_pieces, highest, parts, sharp_pairs
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
@@ -28,7 +28,7 @@ from . import space
 from .base import Engine, LazySequence, Support, Witness, checked_query, empty_support, replay
 
 SHAPED = 16  # a polygon of X and a region counts for this many cuts, which bounds the rounding of its corners
-CUTS = 64  # consecutive cuts by rows of F that the errors of a cell allow for
+CUTS = 64  # consecutive cuts by rows of F whose rounding the error of a cell includes
 SHARP = 0.1  # tips whose angle has a smaller sine are cut off by an additional row, since rounding moves them far
 MOST_CELLS = 500_000  # default of `Cells.limit`
 MOST_PIECES = 20_000  # polygons that a reachable set of several steps may fall into
@@ -64,7 +64,7 @@ class NetworkCells:
     error : array (N, m)
         Upper bound of |K x + g - Phi(x)| on the cell, rounding of its corners included.
     cuts : array (N,) of int
-        Every state x of a mode lies within `cuts` CORNER of a cell of the mode (relative to the size of X).
+        Every state x of a mode lies within `cuts` times CORNER of a cell of the mode (relative to the size of X).
     walls : Walls
     """
 
@@ -129,7 +129,7 @@ class NetworkCells:
 
 @dataclass(frozen=True, eq=False)
 class CellSupport(Support):
-    """A Support and the cells that are not yet ruled out for smaller sets.
+    """A Support and the cells that may meet F, for warm starts with smaller sets.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class CellSupport(Support):
         The set whose reachable set it is.
     cells : NetworkCells
     left : array (q,) of int
-        All of them except those that do not meet F.
+        The cells that may meet F.
     """
 
     F: Polytope
@@ -145,7 +145,7 @@ class CellSupport(Support):
     left: IntArray
 
     def within(self, F: Polytope, cells: NetworkCells) -> IntArray:
-        """The `cells` that a set F may meet: `left` if F has the rows of `self.F` and no larger offset, else all."""
+        """The `cells` that a set F may meet: `left` if F has the rows of `self.F` and no larger offsets, else all."""
         smaller = self.cells is cells and np.array_equal(F.H, self.F.H) and (F.h <= self.F.h).all()
         return self.left if smaller else cells.all
 
@@ -245,30 +245,32 @@ class Cells(Engine):
 
     Notes
     -----
-    For more than two states, `sets.cell_complex` keeps the cells. Their vertices only propose: weak duality on the rows
-    of a cell and of F gives each bound, with its rounding counted. Exact arithmetic replaces a bound that lies more
-    than 6e-11 above the value at a vertex, as at the tip of a needle. For two states polygons with ordered corners are
-    used, which take a half to a sixth of the time. The following holds for them.
+    For every set that was compared with the exact engine, exact <= bound <= exact + 1e-9 along rows of length 1. Very
+    thin sets were among them, and loops with coordinates up to 800 and gains |M| up to 400.
 
-    exact <= bound <= exact + 1e-9 was found for every set that was compared with the exact engine, thin slivers and
-    needles among them, along rows of length 1, for loops with coordinates up to 800 and gains |M| up to 400. The
-    reasons, with eta = `CORNER` for the rounding of one corner:
+    For more than two states, `sets.cell_complex` keeps the cells. Their vertices only propose a value. Weak duality on
+    the rows of a cell and of F proves each bound, rounding included. Exact arithmetic replaces a bound that lies more
+    than 6e-11 above the value at a vertex, as at the tip of a needle.
+
+    Two states have polygons with ordered corners, which take a half to a sixth of the time. Their bounds have the
+    following reasons, with eta = `CORNER` for the rounding of one corner:
 
     - Every state x of a mode lies within `cuts` eta of a cell of that mode, and there |K x + g - Phi(x)| is at most
       the `error` of the cell (`kernels.affine_pieces`), which grows with the weights. Rows of a region that involve u
       are moved outward by it.
-    - Cells are cut by the rows of F moved outward by (`cuts` + rows) eta, so the rest of the cell contains a point
-      that near x, and v x+ is at most the largest v (M x + c + d) over its corners plus |v| times `LoopCells.error`:
-      |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. So the bound is not below the true value.
-    - Nor is it far above. The rest of a cell may lie outside F & X, or outside the cell itself, but not by more than
-      that in any row. Edges between cells of one mode may be as parallel as they like: Phi is continuous.
-      Where two rows of F, or one of F and one of X or of a region, make a tip of a sine below `SHARP`, a row through
-      the exact tip, in rational arithmetic, is added across it.
+    - Cells are cut by the rows of F moved outward by (`cuts` + rows) eta, so the remaining part of the cell contains a
+      point within this distance of x. So v x+ is at most the largest v (M x + c + d) over its corners, plus |v| times
+      `LoopCells.error`, which is |B| error + |M| (cuts + 64) eta + the rounding of M, c and d. The bound is therefore
+      not below the true value.
+    - The bound is not far above the true value either. The remaining part of a cell may exceed F & X, or the cell
+      itself, but in each row by no more than this distance. Edges between cells of one mode may be nearly parallel,
+      because Phi is continuous. Where two rows of F, or one of F and one of X or of a region, meet at an angle with a
+      sine below `SHARP`, a row through the exact tip is added, computed in rational arithmetic.
 
-    Limits: a mode whose boundary depends on u is enlarged by the rounding of u, so for a row of F that is parallel to
-    the boundary within an angle w the bound is high by about 1e-14 / w. Sets that come within 1e-11 of each other count
-    as touching, and rows that are opposite to within 4e-15 as parallel. With `steps` > 1 each piece is widened by its
-    error before the next step: the bound stays above the true value, and the error grows with the gain of the loop.
+    Limits: a mode whose boundary depends on u is enlarged by the rounding of u. For a row of F at a small angle w to
+    this boundary, the bound is therefore too large by about 1e-14 / w. Sets that come within 1e-11 of each other count
+    as touching, and rows that are opposite to within 4e-15 count as parallel. With `steps` > 1 each piece is widened by
+    its error before the next step: the bound stays above the true value, and the error grows with the gain of the loop.
     """
 
     name: ClassVar[str] = "cells"
@@ -289,9 +291,9 @@ class Cells(Engine):
         Notes
         -----
         For one step the result is a `CellSupport`: as `warm_start` for a smaller set it excludes cells that this set
-        cannot meet. More than one step follows every piece of the reachable set through the cells; their number
-        grows with `steps`. `bound` is rounded up to a multiple of 1.5e-11, of more for images above 256 (times |v| for
-        long rows), so that equal sets give equal numbers. `cutoff` is not used.
+        cannot meet. For more than one step, every piece of the reachable set is propagated through the cells; the
+        number of pieces grows with `steps`. `bound` is rounded up to a multiple of 1.5e-11 (of a larger number for
+        images above 256, and times |v| for long rows), so that equal sets give equal numbers. `cutoff` is not used.
 
         Raises
         ------
@@ -332,6 +334,28 @@ class Cells(Engine):
         if steps > 1:
             return found
         return CellSupport(found.value, found.bound, witness, F, every.cells, left)
+
+    def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
+        """Upper bounds of the support function of R_1(F) & X, as `Engine.cut_support`, for two states.
+
+        Parameters
+        ----------
+        loop : ClosedLoop
+        F : Polytope
+        V : array (k, 2)
+
+        Returns
+        -------
+        array (k,)
+            Rounded up as `support` does.
+
+        Raises
+        ------
+        ValueError
+            If the loop does not have two states.
+        """
+        every = dynamics(loop)
+        return _highest_in_state_set(loop.system.state_set, every, F, _rows(loop, every, V.shape, V.tobytes()))
 
 
 # -- building the cells -------------------------------------------------------------------------------
@@ -413,7 +437,7 @@ def _domains(regions: tuple[Polytope, ...], state_set: Polytope) -> tuple[Polygo
 def _corners(P: Polytope, H: Array = np.zeros((0, 2)), h: Array = np.zeros(0)) -> Array:  # noqa: B008
     """The corners of {x in P : H x <= h} for a bounded Polytope P: array (v, 2).
 
-    Their error is at most the rounding of `SHAPED` cuts. Where a tip is sharp they lie further out.
+    Their error is at most the rounding of `SHAPED` cuts. At sharp tips they may lie further outside.
     """
     box = np.array(P.bounding_box())
     size, nowhere = _size(box), Walls(np.zeros((0, 2)), np.zeros(0), np.zeros(0, int))
@@ -646,3 +670,59 @@ def _longer_witness(
     best = lp.maximize(states[-1], v).point
     assert best is not None  # the trajectory that attains the value is feasible
     return replay(loop, best[states[0]], modes, [best[d] for d in disturbances])
+
+
+# -- successors within X ------------------------------------------------------------------------------
+
+
+def _highest_in_state_set(X: Polytope, every: LoopCells, F: Polytope, rows: _Rows) -> Array:
+    """Upper bounds (k,) of v x+ over the successors x+ of states of F that lie in X; rounding is counted.
+
+    The successors from a part of a cell lie in the hull of M x + c at its corners, plus D, plus a box of the error.
+    Where this set lies in X its own maximum counts, else a linear program bounds it (`_successors_in`). One is
+    solved only for a part that may pass what the others attain.
+    """
+    part, index = every.cells.restrict(F)
+    images = every.images(part.points, index[part.owner])
+    mode = every.cells.mode[index]
+
+    def tops(V: Array) -> Array:
+        spread = np.array([(V @ corners.T).max(axis=1) for corners in every.corners])
+        return part.largest(images @ V.T) + spread[mode] + every.error[index] @ np.abs(V).T
+
+    inside = np.all(tops(X.H) <= X.h, axis=1)
+    most = np.where(inside[:, None], tops(rows.V), np.minimum(tops(rows.V), X.bound(rows.V)))
+    bound = most[inside].max(axis=0, initial=-inf)
+    programs: dict[int, tuple[LinearProgram, IntArray]] = {}
+    for k, v in enumerate(rows.V):
+        for i in np.argsort(-most[:, k], kind="stable").tolist():
+            if most[i, k] <= bound[k]:
+                break
+            if i not in programs:
+                points, j = images[part.starts[i] : part.starts[i + 1]], index[i]
+                programs[i] = _successors_in(X, points, every.corners[mode[i]], every.error[j])
+            bound[k] = max(bound[k], min(most[i, k], _proven_maximum(*programs[i], v)))
+    return np.ceil(bound / rows.unit + 0.05) * rows.unit
+
+
+def _successors_in(X: Polytope, points: Array, corners: Array, error: Array) -> tuple[LinearProgram, IntArray]:
+    """X & (hull of `points` + hull of `corners` + box of half-widths `error`) as a linear program; its columns of x+.
+
+    The states x+ are sums of convex combinations of the points and of the corners.
+    """
+    lp, axes = LinearProgram(), np.eye(X.dimension)
+    after = lp.add_columns(-X.bound(-axes), X.bound(axes))
+    shares, weights = (lp.add_columns(np.zeros(len(ends)), np.ones(len(ends))) for ends in (points, corners))
+    lp.add_rows(after, X.H, upper=X.h)
+    lp.add_row(shares, np.ones(len(shares)), 1.0, 1.0)
+    lp.add_row(weights, np.ones(len(weights)), 1.0, 1.0)
+    lp.add_rows(np.concatenate([after, shares, weights]), np.hstack([axes, -points.T, -corners.T]), -error, error)
+    return lp, after
+
+
+def _proven_maximum(lp: LinearProgram, columns: IntArray, v: Array) -> float:
+    """An upper bound of v x[columns] by weak duality; inf where HiGHS gives no multipliers."""
+    try:
+        return lp.bound(columns, v)
+    except SolverError:  # flat sets can leave a solver undecided
+        return inf

@@ -1,7 +1,7 @@
-"""Lemmas 1 and 2 of [Teichrib2025] written as they are printed, in cvxpy, for any MILP solver that cvxpy supports.
+"""Lemmas 1 and 2 of [Teichrib2025] as printed in the paper, in cvxpy, for any MILP solver that cvxpy supports.
 
-To be read beside the paper: equation numbers and names stand at the constraints, and every big-M comes from plain
-interval arithmetic. The engine `milp` is faster, and its dual bound is proven.
+For reading together with the paper: comments give the number and name of each equation, and every big-M comes from
+plain interval arithmetic. The engine `milp` is faster, and its dual bound is proven.
 """
 
 import warnings
@@ -25,7 +25,7 @@ ZERO_GAP: dict[str, dict[str, Any]] = {
     "HIGHS": {
         "mip_rel_gap": 1e-9,
         "mip_abs_gap": 1e-9,
-        "mip_feasibility_tolerance": 1e-8,  # with 1e-9, HiGHS 1.15 has been seen to cut off optimal points
+        "mip_feasibility_tolerance": 1e-8,  # with 1e-9, HiGHS 1.15 cut off optimal points in tests
         "primal_feasibility_tolerance": 1e-9,
         "presolve": "off",  # the optimum is cut off less often, see `LinearProgram.maximize_integer`
     },

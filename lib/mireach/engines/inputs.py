@@ -34,14 +34,14 @@ def require_inputs(loop: ClosedLoop, time_limit: float | None = None) -> None:
     ValueError
         If Phi leaves U.
     SolverStopped
-        If the time limit came first.
+        If the time limit was reached first.
 
     Notes
     -----
-    Interval arithmetic decides for saturated networks, which do not leave U even by rounding. Otherwise the corners
-    of the cells decide: for two states in floats with their rounding counted, and in exact arithmetic where that does
-    not suffice; for more states in exact arithmetic. Where the network has too many affine pieces for that
-    (`FEW_CELLS`), the MILP decides, to within 1e-7 of the size of U.
+    Interval arithmetic decides for saturated networks, which do not leave U even by rounding. Otherwise the corners of
+    the cells decide: for two states in floats with bounds on the rounding errors, and in exact arithmetic if these do
+    not suffice; for more states in exact arithmetic. If the network has too many affine pieces for that (`FEW_CELLS`),
+    the MILP decides, to within 1e-7 of the size of U.
     """
     x = violating_state(loop, loop.system.input_set, time_limit)
     if x is not None:

@@ -1,4 +1,4 @@
-"""Single steps of a loop in rational arithmetic, for any number of states: what a refutation rests on.
+"""Single steps of a loop in rational arithmetic, for any number of states. Refutations are based on them.
 
 Floats give a state and a mode. Around the state the loop is affine, on a polytope whose rows are rational, and one
 linear program over the rationals gives the state of that polytope whose successor is largest along a direction.

@@ -1,4 +1,4 @@
-"""A closed loop in units of its own, so that no answer depends on the units of its user.
+"""A closed loop in its own units, so that no result depends on the units of the user.
 
 With x = s x' and u = t u', one power of two for each state and each input, every number of the loop is scaled
 exactly. The powers are chosen so that the largest |x_i| over X and the largest |u_i| over U lie between 1/2 and 1. Rows

@@ -1,4 +1,4 @@
-"""What all checks share: conditions on answers with hints, texts, and random networks."""
+"""Functions that all checks share: conditions on answers with hints, texts, and random networks."""
 
 from collections.abc import Iterable
 from typing import Any

@@ -98,7 +98,7 @@ def check_t3(leaving_point: Any) -> None:
             require(
                 not wanted,
                 f"you say that P lies in Q, but h_P - h_Q = {wanted:g} > 0 along row {facet} of Q.H: "
-                "look where P reaches furthest, at one corner",
+                "look at the corner of P with the largest value along that row",
             )
             continue
         x = require_array(x, (2,), "leaving_point(P, Q)")
@@ -109,7 +109,7 @@ def check_t3(leaving_point: Any) -> None:
 
 
 def check_t4(count: Any) -> None:
-    """Task 4: the least number of directions for which the template around the unit disc has at most 1 % more area.
+    """Task 4: the smallest number of directions for which the template around the unit disc has at most 1 % more area.
 
     Parameters
     ----------

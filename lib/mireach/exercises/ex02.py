@@ -71,7 +71,7 @@ def check_t1(counts: Any) -> None:
     Raises
     ------
     Wrong
-        Saying which of the two numbers is off, and by how much.
+        With the number that is wrong, and by how much.
     """
     binaries, choices = require_array(counts, (2,), "counts")
     relu = [
@@ -103,7 +103,7 @@ def check_t2(smallest_M: Any) -> None:
     Raises
     ------
     Wrong
-        With a state that a number cuts off, or by how much it could be smaller.
+        With a state that some M_j excludes, or by how much M_j could be smaller.
     """
     rng = np.random.default_rng()
     for n in (1, 1, 2, 2, 3):
@@ -121,19 +121,18 @@ def check_t2(smallest_M: Any) -> None:
             require(
                 M[j] >= behind[k, j] - TOL,
                 f"M_{j + 1} = {M[j]:.3f} is too small: at x = {text(corners[k])} channel {j + 1} is {z[k, j]:.3f} and "
-                f"the winner {z[k].max():.3f}, so q <= z_{j + 1} + M_{j + 1} cuts this state off",
+                f"the largest channel {z[k].max():.3f}, so q <= z_{j + 1} + M_{j + 1} cuts this state off",
             )
             require(
                 M[j] <= behind[k, j] + TOL,
-                f"M_{j + 1} = {M[j]:.3f} is sound, but not the smallest: channel {j + 1} is nowhere in the box further "
-                f"behind the winner than M_{j + 1} - {M[j] - behind[k, j]:.3f}. Where z_i is largest, z_{j + 1} need "
-                "not be smallest",
+                f"M_{j + 1} = {M[j]:.3f} is sound, but not the smallest: {M[j] - behind[k, j]:.3f} less is "
+                f"enough. Where z_i is largest, z_{j + 1} need not be smallest",
             )
-    print("ok: just big enough, and no bigger")
+    print("ok: the smallest big-M of each channel")
 
 
 def check_t3(broken: Any) -> None:
-    """Task 3: a big-M for which the model is wrong unnoticed, a state it lost, and the row that forbids it.
+    """Task 3: a big-M with which the model is wrong without warning, a state that it excludes, and the row to blame.
 
     Parameters
     ----------
@@ -143,7 +142,8 @@ def check_t3(broken: Any) -> None:
     Raises
     ------
     Wrong
-        If the model is infeasible, still right, or right about this state, or the row named is silent there.
+        If the model is infeasible, if the state does not show that its value is too small, or if the named row does not
+        exclude the state.
     """
     require_filled(broken, "broken")
     names = ("M", "x", "layer", "neuron", "channel")
@@ -171,8 +171,8 @@ def check_t3(broken: Any) -> None:
     row = f"channel {where[2] + 1} of neuron {where[1] + 1} in layer {where[0] + 1}"
     require(
         gap > M,
-        f"with M = {M:g} the model has indeed lost x = {text(x)}, but not by {row}: there this channel is {gap:.3f} "
-        f"behind its winner, which M = {M:g} allows",
+        f"with M = {M:g} the model has indeed lost x = {text(x)}, but not by the row of {row}: this channel is "
+        f"{gap:.3f} behind its winner there, which M = {M:g} allows",
     )
     print(
         f"ok: the model claims Phi <= {claim:.3f}, but Phi({text(x)}) = {output:.3f}. Unsound, for {row} is "
@@ -191,7 +191,7 @@ def check_t4(network_M: Any) -> None:
     Raises
     ------
     Wrong
-        With a state that is cut off, and the neuron that does it; or where a number is larger than needed.
+        With a state that is excluded and the neuron whose row excludes it; or where a number is larger than needed.
     """
     rng = np.random.default_rng()
     for _ in range(4):
@@ -218,11 +218,11 @@ def check_t4(network_M: Any) -> None:
                 f"sound, but M = {M_i[neuron, j]:.3f} of channel {j + 1} of neuron {neuron + 1} in layer {i} is larger "
                 f"than what interval arithmetic proves, by {M_i[neuron, j] - wide[neuron, j]:.3f}",
             )
-    print("ok: no state is cut off")
+    print("ok: no state is excluded")
 
 
 def check_t5(cheat: Any) -> None:
-    """Task 5: cheat(z, M) = (q, delta), feasible for a solver, with q as wrong as its tolerance permits.
+    """Task 5: cheat(z, M) = (q, delta), feasible for a solver, with q as far above max z as its tolerance permits.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def check_t5(cheat: Any) -> None:
         j = int(np.argmax(off))
         require(
             off[j] <= INTEGRAL * (1 + 1e-6) and ((delta > -TOL) & (delta < 1 + TOL)).all(),
-            f"{case}: delta_{j + 1} = {delta[j]:.9f} is further than {INTEGRAL:g} from 0 and 1; no solver takes it",
+            f"{case}: delta_{j + 1} = {delta[j]:.9f} is further than {INTEGRAL:g} from 0 and 1; no solver accepts it",
         )
         require(abs(delta.sum() - 1) <= TOL, f"{case}: the delta sum up to {delta.sum():.9f}, not to 1")
         require(q >= z.max() - TOL, f"{case}: q = {q:.3f} is below a channel, and -q <= -z_j is violated")

@@ -20,13 +20,13 @@ from .common import (
 )
 
 TOL = 1e-9  # for numbers that differ by rounding only
-SOLVER_TOL = 1e-5  # what the MILPs of task 2 are trusted to, in units of x
+SOLVER_TOL = 1e-5  # accuracy of the MILPs of task 2, in units of x
 POINTS = ((3.0, 2.0), (0.0, 5.0), (4.0, 0.0), (0.0, 0.0))  # of task 1
 FRICTION = {"gain": 0.5, "loss": 0.1}  # of task 5
 
 
 def claim() -> tuple[PWASystem, Polytope, Polytope]:
-    """The four-mode plant without disturbance, a set F, and a set G of which task 3 is to show that it is too small.
+    """The four-mode plant without disturbance, a set F, and the set G that task 3 shows to be too small.
 
     Returns
     -------
@@ -89,7 +89,8 @@ def check_t2(step_model: Any) -> None:
     Raises
     ------
     Wrong
-        With a point (x, u) at which the model has no solution, or another one than the modes that contain it.
+        With a point (x, u) at which the model has no solution, or a solution that differs from the successors by the
+        modes that contain it.
     """
     import cvxpy as cp
 
@@ -113,7 +114,7 @@ def check_t2(step_model: Any) -> None:
             at.value, w = point, rng.choice([-1.0, 1.0], n) * rng.uniform(0.5, 1.5, n)
             for v.value in (w, -w):
                 _compare(problem, v, point, _successors(system, point[:n], point[n:], tol=1e-7))
-    print("ok: your model is the map, on the boundary as well")
+    print("ok: your model describes f_PWA, also on the boundaries")
 
 
 def check_t3(witness: Any) -> None:
@@ -178,7 +179,7 @@ def check_t4(share: Any) -> None:
             f"M = {M:.2f}: you say {answer:.3f}, but {left.mean():.3f} of 40,000 random states satisfy the rows of one "
             f"mode, and those of all other modes with M added; x = {text(lost)} needs M = {violation.max():.2f}",
         )
-    print("ok: what is left is the part of X that is near every region")
+    print("ok: the part of X that is near every region remains")
 
 
 def check_t5(modes: Any) -> None:
@@ -258,7 +259,7 @@ def _compare(problem: Any, v: Any, point: Array, successors: dict[int, Array]) -
     require(
         highest >= best - SOLVER_TOL,
         f"{case} your model admits at most v x+ = {highest:.4f} for v = {text(v.value)}, but mode {reached} gives "
-        f"{best:.4f}: the model has lost this mode, or part of its successor",
+        f"{best:.4f}: the model has lost this mode, or part of its successors",
     )
 
 

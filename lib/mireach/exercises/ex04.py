@@ -20,11 +20,11 @@ from .common import Wrong, random_network, require, require_array, require_numbe
 
 TOL = 1e-7  # for numbers that differ by rounding only; all data here are of size 10
 LEAVES = 1e-6  # a witness has to leave a set by at least this
-NEAR = 1e-3  # how near the largest disturbance bound has to be met
+NEAR = 1e-3  # accuracy required of the largest disturbance bound
 REFUTE = Polytope.box([-7.6, -10], [9.5, 8.6])  # the set of task 3
 KEEP = Polytope.box([-7.4, -10], [9.5, 9])  # the set of task 4
 START = Polytope.box([-6, -9], [8, 3])  # the set of task 6
-BETTER = 0.01  # in task 5, another set may be better by this bound of the disturbance
+BETTER = 0.01  # in task 5, by which the bound of another set may be larger
 SHARE = 0.75  # of the box's area, to be reached in task 6
 
 
@@ -67,7 +67,7 @@ def check_t2(support_of_step: Any) -> None:
     Raises
     ------
     Wrong
-        With the state and, where the answer is too small, a mode and a disturbance that go farther.
+        With the state and, where the answer is too small, a mode and a disturbance that give a larger value.
     """
     rng = np.random.default_rng()
     for kind in ("inside", "inside", "inside", "edge", "edge", "corner"):
@@ -138,13 +138,13 @@ def check_t4(beta: Any) -> None:
         If F is not RPI slightly below beta (with a step that leaves it), or still is slightly above.
     """
     beta = require_number(beta, "beta")
-    require(beta >= NEAR, f"beta = {beta:g} is not a bound of a disturbance that F survives; it has to be positive")
+    require(beta >= NEAR, f"beta = {beta:g} is no disturbance bound for which F is RPI; it has to be positive")
     _require_rpi(KEEP, beta - NEAR)
     require(
         _check(KEEP, beta + NEAR).verdict != "proven",
         f"F is still RPI for |d| <= {beta + NEAR:.4f}, so beta = {beta:.4f} is not the largest bound",
     )
-    print(f"ok: F survives disturbances up to {beta:.3f}, and no larger ones")
+    print(f"ok: F is RPI for disturbances up to {beta:.3f}, and for no larger bound")
 
 
 def check_t5(a: Any, beta: Any) -> None:
@@ -161,7 +161,7 @@ def check_t5(a: Any, beta: Any) -> None:
     """
     a, beta = require_number(a, "a"), require_number(beta, "beta")
     require(0 < a <= 10, f"a = {a:g} gives no box within X; a has to lie between 0 and 10")
-    require(beta >= 0, f"beta = {beta:g} is negative; no disturbance is bounded by that")
+    require(beta >= 0, f"beta = {beta:g} is negative; a bound on |d| is at least 0")
     _require_rpi(_left(a), beta)
     better = [other for other in np.linspace(6, 10, 201) if _check(_left(other), beta + BETTER).verdict == "proven"]
     if better:
@@ -170,7 +170,7 @@ def check_t5(a: Any, beta: Any) -> None:
             "already with your a" if abs(nearest - a) <= 0.02 else f"with a {'larger' if nearest > a else 'smaller'} a"
         )
         raise Wrong(f"your set is RPI for |d| <= {beta:.4f}, but {where} the bound may be larger by {BETTER}")
-    print(f"ok: a = {a:.3f} bears disturbances up to {beta:.3f}; no other a bears {BETTER} more")
+    print(f"ok: a = {a:.3f} tolerates disturbances up to {beta:.3f}; no other a tolerates {BETTER} more")
 
 
 def check_t6(C: Any) -> None:
@@ -189,10 +189,10 @@ def check_t6(C: Any) -> None:
     require((np.linalg.norm(C, axis=1) > 1e-6).all(), "C has a row of zeros, which is no direction")
     loop = _shipped_loop()
     outer = outer_step(loop, START, C)
-    require(outer.is_bounded, "the set of your template is unbounded; turn its rows so that they enclose the plane")
+    require(outer.is_bounded, "the set of your template is unbounded; choose rows that bound it on all sides")
     box, area = (R.area for R in (outer_step(loop, START, box_directions(2)), outer))
     require(area <= SHARE * box, f"your set has {area:.1f} of area, which is {area / box:.2f} of the box's {box:.1f}")
-    print(f"ok: four directions, {area:.1f} in place of {box:.1f}")
+    print(f"ok: four directions, area {area:.1f} instead of {box:.1f}")
 
 
 def _left(a: float) -> Polytope:

@@ -24,7 +24,7 @@ from .common import (
 )
 
 TOL = 1e-6  # for numbers that differ by rounding, relative to 1 + their size
-STRIP = 1e-3  # states this near to the border of task 2 are left out
+STRIP = 1e-3  # states this close to the line of task 2 are not tested
 MOST_BINARIES, MOST_LOSS = 20, 0.05  # what task 6 allows
 
 
@@ -83,7 +83,7 @@ def check_t2(row: Any, offset: Any) -> None:
     """
     row, offset = require_array(row, (2,), "row"), require_number(offset, "offset")
     length = np.linalg.norm(row)
-    require(length > 1e-6, "row is zero, so that row x < offset divides nothing")
+    require(length > 1e-6, "row is zero, so that row x < offset is no half-plane")
     row, offset = row / length, offset / length
     rng, system = np.random.default_rng(), pwa_plant()
     states = np.vstack([rng.uniform(-10, 10, (30, 2)), rng.uniform(-10, -7, (40, 2)), rng.uniform(-10, 10, (400, 2))])
@@ -128,7 +128,7 @@ def check_t3(smallest_error: Any) -> None:
         f"smallest_error = {number:g} is more than necessary: {sides} one value at x1 = 0 itself, but it may choose "
         "which; take the one that makes the larger of the two errors smallest",
     )
-    print("ok: no training can get below that")
+    print("ok: no training can give a smaller worst error")
 
 
 def check_t4(project: Any) -> None:
@@ -142,7 +142,7 @@ def check_t4(project: Any) -> None:
     Raises
     ------
     Wrong
-        With an input, the raw output and what the new network makes of it.
+        With an input, the raw output and the output of the new network.
     """
     rng = np.random.default_rng()
     for m in (1, 1, 2, 3):
@@ -193,7 +193,8 @@ def check_t5(loss: Any) -> None:
         require_instance(answer, torch.Tensor, "loss(z, u, lower, upper, leak)")
         require(answer.shape == (), f"loss must return one number, a mean; got shape {tuple(answer.shape)}")
         require(
-            answer.requires_grad, "your loss has lost its gradient: compute it by torch functions of z, not by numpy"
+            answer.requires_grad,
+            "your loss has lost its gradient: compute it with torch functions of z, not with numpy",
         )
         (slope,) = torch.autograd.grad(answer, variable)
         require(
@@ -208,7 +209,7 @@ def check_t5(loss: Any) -> None:
             f"with leak = {leak}, U = [{lower:.2f}, {upper:.2f}] and 30 random samples you return {value:.5f}; "
             f"the formula gives {truth:.5f}",
         )
-    print("ok: clipped, and still with a slope everywhere it is needed")
+    print("ok: clipped, with a nonzero slope wherever it is needed")
 
 
 def check_t6(network: Any) -> None:

@@ -26,8 +26,11 @@ from .common import (
 )
 
 ACCURACY = 1e-4  # of a largest disturbance bound, in units of x
-ROWS, ROUGH = 5, 0.5  # task 4: rows of a template, and the disturbance bound that it shall stand
-APART, FUTURES = 4.0, 6  # task 6: distance of two futures in units of x, and the most steps to get there
+ROWS, ROUGH = 5, 0.5  # task 4: rows of a template, and the disturbance bound that it must tolerate
+APART, FUTURES = (
+    4.0,
+    6,
+)  # task 6: distance of the ends of two trajectories (units of x), and the largest number of steps
 INSIDE = 1e-9  # for rounding of states and disturbances
 STEPS = 100  # iterations after which a check stops looking for a safe set
 
@@ -57,7 +60,7 @@ def check_t1(top: Any, bottom: Any) -> None:
 
 
 def check_t2(find_safe_set: Any) -> None:
-    """Task 2: find_safe_set(loop, C, most) = (F_max, k) of Proposition Fmax, or (None, None).
+    """Task 2: find_safe_set(loop, C, most) = (F_max, k) of Prop. 3, Fmax, or (None, None).
 
     Parameters
     ----------
@@ -67,7 +70,8 @@ def check_t2(find_safe_set: Any) -> None:
     Raises
     ------
     Wrong
-        If a set is not RPI or not F_max, if k is not its number, or if None and a set are mixed up.
+        If a set is not RPI or not F_max, if k is not its index, or if a set is returned where there is none, or None
+        where there is one.
     """
     rng = np.random.default_rng()
     integrator = case_study("double_integrator")
@@ -85,7 +89,7 @@ def check_t2(find_safe_set: Any) -> None:
         if true.set is None:
             require(F is None, f"{case} you return a set, but there is none: {true.reason}")
             continue
-        require(F is not None, f"{case} you find no set, but F{true.iterations} is one")
+        require(F is not None, f"{case} you find no set, but F{true.iterations} is RPI")
         require_instance(F, Polytope, "the set")
         check = check_rpi(loop, F, tol=INSIDE)
         require(check.verdict == "proven", f"{case} your set is not RPI: {check.reason}")
@@ -95,7 +99,7 @@ def check_t2(find_safe_set: Any) -> None:
             f"{case} your set is RPI, but not F_k of eq. (21), Fk: it differs by {gap:.3g} along a direction",
         )
         require(k == true.iterations, f"{case} your set is right, but its number is not {k}; F_0 = X has number 0")
-    print("ok: Proposition Fmax, with its honest None")
+    print("ok: Prop. 3, Fmax, and None where no set is found")
 
 
 def check_t3(largest_bound: Any) -> None:
@@ -184,7 +188,7 @@ def check_t6(x0: Any, first: Any, second: Any) -> None:
     Raises
     ------
     Wrong
-        If x0 is not in F_max, a disturbance is too large, or the futures are too close.
+        If x0 is not in F_max, a disturbance is too large, or the trajectories end too close to each other.
     """
     case = case_study("pwa")
     F = safe_set(case.loop, case.safe_directions).set
@@ -192,18 +196,18 @@ def check_t6(x0: Any, first: Any, second: Any) -> None:
     x0 = require_array(x0, (2,), "x0")
     first, second = require_array(first, (None, 2), "first"), require_array(second, (None, 2), "second")
     require(F.contains(x0, tol=INSIDE), f"x0 = {text(x0)} is not in F_max")
-    require(len(first) == len(second), f"both futures need the same number of steps; got {len(first)}, {len(second)}")
+    require(len(first) == len(second), f"both sequences need the same number of steps; got {len(first)}, {len(second)}")
     require(1 <= len(first) <= FUTURES, f"between 1 and {FUTURES} steps are allowed; got {len(first)}")
     for name, d in (("first", first), ("second", second)):
         worst = np.abs(d).max()
         require(
             worst <= case.disturbance_bound + INSIDE,
-            f"{name} holds a disturbance of size {worst:.4g}, beyond {case.disturbance_bound}",
+            f"{name} contains a disturbance of size {worst:.4g}, beyond {case.disturbance_bound}",
         )
     ends = [case.loop.simulate(x0, len(d), d)[-1] for d in (first, second)]
     distance = float(np.abs(ends[0] - ends[1]).max())
-    require(distance >= APART, f"the futures end only {distance:.3f} apart (largest coordinate); {APART:g} are needed")
-    print(f"ok: after {len(first)} steps the two futures are {distance:.2f} apart")
+    require(distance >= APART, f"the ends are only {distance:.3f} apart (largest coordinate); {APART:g} are needed")
+    print(f"ok: after {len(first)} steps the two trajectories are {distance:.2f} apart")
 
 
 def disturbed_loop(bound: float) -> ClosedLoop:

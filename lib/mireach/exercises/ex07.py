@@ -11,8 +11,8 @@ from ..systems.plants import INTEGRATOR_CURVATURE, chessboard, double_integrator
 from ..typing import Array
 from .common import require, require_array, require_filled, require_instance, require_number, require_whole, text
 
-DECEIVED = 0.02  # task 2: by how much the error at a state shall exceed that of the grid (units of x)
-WANTED = 0.02  # task 5: error that the fits shall not exceed (units of x)
+DECEIVED = 0.02  # task 2: by how much the error at a state must exceed that of the grid (units of x)
+WANTED = 0.02  # task 5: error that the fits must not exceed (units of x)
 ROUNDING = 1e-9
 TIGHT = 5.0  # task 6: allowed excess of a bound over an interval of width w, as a multiple of w^2
 
@@ -63,10 +63,10 @@ def check_t2(points: Any, x: Any) -> None:
     here = float(np.abs(_bend(x[None]) - np.array([[*x, 1.0]]) @ theta)[0])
     require(
         here >= largest + DECEIVED,
-        f"with {count} points the grid says {largest:.4f}, and the error at x is {here:.4f}; it shall be larger "
-        f"than the grid's number by {DECEIVED}",
+        f"with {count} points the largest error at the grid is {largest:.4f}, and the error at x is {here:.4f}; it "
+        f"shall be larger by {DECEIVED}",
     )
-    print(f"ok: the grid says {largest:.4f}, but at x = {text(x)} the error is {here:.4f}")
+    print(f"ok: the largest error at the grid is {largest:.4f}, but at x = {text(x)} the error is {here:.4f}")
 
 
 def check_t3(minimax_mode: Any) -> None:
@@ -80,7 +80,7 @@ def check_t3(minimax_mode: Any) -> None:
     Raises
     ------
     Wrong
-        With a point at which the error is larger than it need be.
+        With a point at which the error is larger than necessary.
     """
     rng, plant = np.random.default_rng(), double_integrator_plant()
     for _ in range(5):
@@ -88,7 +88,7 @@ def check_t3(minimax_mode: Any) -> None:
         upper = lower + rng.uniform(1, 3, 2)
         answer = minimax_mode(lower, upper)
         require_filled(answer, "minimax_mode")
-        require(len(answer) == 3, f"minimax_mode must return (A, B, p); got {len(answer)} things")
+        require(len(answer) == 3, f"minimax_mode must return (A, B, p); got {len(answer)} items")
         A, B, p = (require_array(part, shape, n) for part, shape, n in zip(answer, ((2, 2), (2, 1), (2,)), "ABp"))
         ends = np.stack(np.meshgrid(*np.transpose([lower, (lower + upper) / 2, upper])), axis=-1).reshape(-1, 2)
         x = np.vstack([ends, rng.uniform(lower, upper, (300, 2))])
@@ -106,7 +106,7 @@ def check_t3(minimax_mode: Any) -> None:
 
 
 def check_t4(D: Any) -> None:
-    """Task 4: a small polytope that holds all errors of the paper's least-squares fit.
+    """Task 4: a small polytope that contains all errors of the paper's least-squares fit.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def check_t4(D: Any) -> None:
     Raises
     ------
     Wrong
-        With an error that lies outside, or a direction in which D is larger than need be.
+        With an error that lies outside, or a direction in which D is larger than necessary.
     """
     require_instance(D, Polytope, "D")
     require(D.dimension == 2, f"D lies in R^{D.dimension}, but the error has 2 components")
@@ -137,9 +137,9 @@ def check_t4(D: Any) -> None:
         support, needed = D.support([v])[0], (d @ np.array(v)).max()
         require(
             support <= needed + 1e-3,
-            f"D holds all errors but is too large: along {name} it reaches {support:.4f}, the errors only {needed:.4f}",
+            f"D contains all errors but is too large: along {name} h_D = {support:.4f}, but {needed:.4f} is enough",
         )
-    print("ok: all errors are in D, and there is nothing to save")
+    print("ok: D contains all errors and cannot be smaller")
 
 
 def check_t5(least_squares: Any, minimax: Any) -> None:

@@ -20,7 +20,7 @@ TOL = 1e-9  # for numbers that differ by rounding only, relative to their size
 
 
 def check_t1(lost: Any) -> None:
-    """Task 1: lost(x, limit) tells from which states no input |u| <= limit keeps f(x, u) in X.
+    """Task 1: lost(x, limit): whether no input |u| <= limit keeps f(x, u) in X, for every state.
 
     Parameters
     ----------
@@ -45,14 +45,14 @@ def check_t1(lost: Any) -> None:
             u = inputs[excess[i].argmin()]
             raise Wrong(
                 f"|u| <= {limit:.2f}: you call x = {text(x[i])} lost, but u = {u:.2f} leads to "
-                f"{text(plant(x[i], [u]))}, in X ({len(kept)} such states of {len(x)})"
+                f"{text(plant(x[i], [u]))}, which is in X ({len(kept)} such states of {len(x)})"
             )
         if len(gone):
             i = gone[0]
             after = plant(x[i], [inputs[excess[i].argmin()]])
             raise Wrong(
                 f"|u| <= {limit:.2f}: you say that x = {text(x[i])} can be kept in X, but the best of 2001 inputs "
-                f"leads to {text(after)} ({len(gone)} such states of {len(x)}); are both components met, with one u?"
+                f"leads to {text(after)} ({len(gone)} such states of {len(x)}); does one u keep both components in X?"
             )
     print("ok: two intervals for u decide which states are lost")
 
@@ -78,7 +78,7 @@ def check_t2(cost: Any) -> None:
         kind = "input" if np.abs(inputs).max() > 2 else "state" if np.abs(states).max() > 6 else "feasible"
         seen.add(kind)
         _compare_cost(cost(x0, inputs), kind, states, inputs)
-    print("ok: the cost, and inf for plans that are not allowed")
+    print("ok: the cost, and inf for infeasible plans")
 
 
 def check_t3(plan: Any) -> None:
@@ -187,7 +187,7 @@ def check_t5(other: Any) -> None:
             jumps[k] <= 50 * length + 1e-9,
             f"your input jumps by {jumps[k]:.2g} within {length:.1g} at x = {text(path[k])}: it is not continuous",
         )
-    print(f"ok: the data cannot tell the two apart, and at (6, 6) they differ by {difference:.1f}")
+    print(f"ok: the data do not distinguish the two controllers, and at (6, 6) they differ by {difference:.1f}")
 
 
 # -- parts --------------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ def _compare_cost(answer: Any, kind: str, states: Array, inputs: Array) -> None:
 
 
 def _feasible_hint(states: Array, inputs: Array) -> str:
-    """What to say where inf is returned for a feasible plan."""
+    """The message where inf is returned for a feasible plan."""
     return (
         f"x0 = {text(states[0])}, {len(inputs)} input(s): you return inf, but |x|_inf reaches only "
         f"{np.abs(states).max():.2f} and |u| only {np.abs(inputs).max():.2f}"
@@ -244,5 +244,5 @@ def _feasible_hint(states: Array, inputs: Array) -> str:
 
 
 def _inputs(other: Callable[[Array], Any], states: Array) -> Array:
-    """What a controller answers at states (N, 2), as an array (N, 1)."""
+    """The inputs of a controller at states (N, 2), as an array (N, 1)."""
     return require_array(other(states), (len(states), 1), "other(x)")

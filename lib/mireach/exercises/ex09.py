@@ -70,7 +70,7 @@ def check_t1(count_iterations: Any) -> None:
         count_iterations(loop, C, k - 1) is None,
         f"16 directions, |d| <= 0.05: with limit = {k - 1} the answer is None, for R1-bar(F_{k - 1}) leaves X",
     )
-    print("ok: Proposition Fmax, by hand")
+    print("ok: Prop. 3, Fmax, by hand")
 
 
 def check_t2(largest: Any) -> None:
@@ -83,7 +83,7 @@ def check_t2(largest: Any) -> None:
     Raises
     ------
     Wrong
-        With what the iteration says at the bound, or a little above it.
+        With the result of the iteration at the bound, or a little above it.
     """
     require_filled(largest, "largest")
     require(isinstance(largest, dict) and set(largest) == {8, 16}, "largest must be a dict with the keys 8 and 16")
@@ -104,7 +104,7 @@ def check_t2(largest: Any) -> None:
             f"largest[{count}] = {bound:.4f} is not the largest: with {bound + ACCURACY:.4f} a safe set is still "
             f"found, after {more.iterations} iterations",
         )
-    print(f"ok: the template decides between {largest[8]:.3f} and {largest[16]:.3f}")
+    print(f"ok: the largest bound is {largest[8]:.3f} with 8 directions and {largest[16]:.3f} with 16")
 
 
 def check_t3(leaving_state: Any) -> None:
@@ -149,7 +149,7 @@ def check_t3(leaving_state: Any) -> None:
             share = np.mean(~G.contains(plant.step(case.network, states), ROUNDING))
             raise Wrong(f"G = {name}: you return None, but the plant leaves G from about {share:.0%} of its states")
         _require_leaving(case, G, x, f"G = {name}")
-    print("ok: refuted where it can be, and no false alarm")
+    print("ok: a leaving state wherever there is one, and no false alarm")
 
 
 def check_t4(rule_holds: Any) -> None:
@@ -163,7 +163,7 @@ def check_t4(rule_holds: Any) -> None:
     Raises
     ------
     Wrong
-        With the set, the centre and epsilon, and by how much S sticks out.
+        With the set, the centre and epsilon, and by how much S exceeds R1-bar(S).
     """
     rng, case = np.random.default_rng(), case_study("double_integrator")
     C = case.directions
@@ -225,9 +225,9 @@ def check_t5(state: Any, value: Any) -> None:
     require(
         max(errors) > SMALL_BOUND,
         f"at x = {text(x)}, u = {u:g} the error is only {max(errors):.4f}, not above {SMALL_BOUND}; "
-        "there it would be covered",
+        "there the smaller bound covers it",
     )
-    print(f"ok: the error there is {max(errors):.4f}, so the disturbance set does not hold it")
+    print(f"ok: the error there is {max(errors):.4f}, so the disturbance set does not contain it")
 
 
 # -- parts --------------------------------------------------------------------------------------------
@@ -245,7 +245,7 @@ def _try_bound(loop: ClosedLoop, bound: float, count: int) -> SafeSet:
 
 
 def _state_of(leaving_state: Callable[[Polytope], Any], G: Polytope) -> Array | None:
-    """What the answer says about G: an array (2,), or None."""
+    """The answer for G: an array (2,), or None."""
     x = leaving_state(G)
     require(x is not ..., "leaving_state is not filled in yet")
     return None if x is None else require_array(x, (2,), "leaving_state(G)")

@@ -1,4 +1,4 @@
-"""Checks of exercise 10: the maximal safe set, backwards from what is lost."""
+"""Checks of exercise 10: the maximal safe set, backwards from the lost states."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ ACCURACY = 1e-3  # of task 4, in units of d
 
 
 def spiral() -> ClosedLoop:
-    """The loop of task 4: x+ = 0.8 (x turned by 50 degrees) + d on |x|_inf <= 1."""
+    """The loop of task 4: x+ = 0.8 (x rotated by 50 degrees) + d on |x|_inf <= 1."""
     angle = np.deg2rad(50)
     A = 0.8 * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     X, U = Polytope.box([-1, -1], [1, 1]), Polytope.box([-1], [1])
@@ -76,7 +76,7 @@ def check_t1(lost_in_cell: Any) -> None:
                 not (said[i] and gap[i] > 0), f"{where}: no d leads into T, it misses by {gap[i]:.2g}; x is not lost"
             )
             require(said[i] or not inside[i] or gap[i] > 0, f"{where}: some d leads into T, so x is lost")
-    print("ok: the preimage of a widened set, without any inverse")
+    print("ok: the preimage of an enlarged set, without any inverse")
 
 
 def check_t2(shrink: Any) -> None:
@@ -90,7 +90,7 @@ def check_t2(shrink: Any) -> None:
     Raises
     ------
     Wrong
-        With a state that can still leave, or one that was taken away without need.
+        With a state that can still leave, or a safe state that was removed.
     """
     rng = np.random.default_rng()
     for name, low, high in (("double_integrator", 0.0, 0.2), ("pwa", 0.05, 1.0), ("double_integrator", 0.1, 0.3)):
@@ -148,7 +148,7 @@ def check_t3(start: Any, disturbances: Any) -> None:
     )
     require(
         not carried_out(case.loop, X).contains(x),
-        f"from start = {text(x)} a single step can lead out of X already; look among what is lost later",
+        f"from start = {text(x)} a single step can lead out of X already; look among the states that are lost later",
     )
     path = case.loop.simulate(x, len(d), d)
     outside = ~X.contains(np.nan_to_num(path, nan=99.0), ROUNDING)

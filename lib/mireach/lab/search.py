@@ -28,8 +28,9 @@ def next_amount(trials: Trials, low: float, high: float) -> float | None:
 
     Notes
     -----
-    A template that fails at one amount may succeed at a larger one; the bisection closes in on the last change that
-    the grid has shown.
+    Disturbance sets that hold the origin grow with the amount, and with them every F_k: the answer changes once, from
+    yes to no. For other sets it may change more often; the bisection closes in on the last change that the grid has
+    shown.
 
     Examples
     --------

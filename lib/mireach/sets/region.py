@@ -266,7 +266,8 @@ class Region:
         """
         triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(polygons_of(self.shape)))
         corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
-        return Polygons.of([*corners, *flat_parts(self.shape)])
+        solid = Polygons(corners.reshape(-1, 2), 3 * np.arange(len(corners) + 1))
+        return Polygons.join([solid, Polygons.of(flat_parts(self.shape))])
 
     @cached_property
     def pieces(self) -> Polygons:

@@ -88,7 +88,7 @@ class Milp(Engine):
 
     See Also
     --------
-    Cvxpy : the paper's formulation, to be read beside the paper.
+    Cvxpy : the paper's formulation, for reading together with the paper.
     """
 
     name: ClassVar[str] = "milp"
@@ -141,7 +141,7 @@ class Milp(Engine):
         Raises
         ------
         SolverStopped
-            If the time limit came first; its `support` holds what was found, and `bound` is proven.
+            If the time limit was reached first; its `support` holds what was found, and `bound` is proven.
         SolverError
             If a bound cannot be right because a trajectory exceeds it.
         """
@@ -299,7 +299,7 @@ class _Answer:
     paths : list of (value, Path)
         The best trajectories with their values in floats, the best first.
     finished : bool
-        False if the time limit came first.
+        False if the time limit was reached first.
     proven : bool
         Whether the bound rests on no bound of HiGHS.
     """
@@ -372,7 +372,7 @@ class _Search:
     root : Boxes
         The one box that was halved.
     settled : array (k,)
-        Upper bounds over the settled boxes, which need no further look.
+        Upper bounds over the settled boxes, which are not searched further.
     left : list of (Boxes, upper)
         Boxes that are not halved further and need a MILP.
     done : list of (Boxes, upper)
@@ -400,7 +400,7 @@ class _Search:
 
     @property
     def _is_exhausted(self) -> bool:
-        """Whether as many boxes were bounded as one search may take."""
+        """Whether the limit on bounded boxes of one search is reached."""
         return self._count > MOST_BOXES / self.problem.steps**4
 
     def advance(self) -> None:
@@ -594,7 +594,8 @@ class _Simulation:
 def _extreme_points(P: Polytope, V: Array) -> Array:
     """Support vectors of a polytope along the rows of V: (e, n).
 
-    Tolerances can lead far beyond the tip of a needle: such points are left out, unless there are no others.
+    With the solver's tolerances, points may lie far beyond the tip of a very thin set. They are left out, unless there
+    are no others.
     """
     points = support_vectors(P, V)
     excess = (points @ P.H.T - P.h).max(axis=1)
@@ -659,7 +660,7 @@ def violating_state(loop: ClosedLoop, U: Polytope, bounds: str = "lp", time_limi
     Raises
     ------
     SolverStopped
-        If the time limit, in seconds, came first.
+        If the time limit, in seconds, was reached first.
     SolverError
         If neither can be shown: that Phi stays in U, or that it leaves U.
     """
