@@ -11,6 +11,7 @@ import numpy as np
 
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import binary, dot, fractions, nearest
+from ..sets.exact_polytopes import ExactPolytope
 from ..systems.loop import ClosedLoop
 from ..tolerances import AROUND
 from ..typing import Array, BoolArray, Rational
@@ -55,7 +56,7 @@ def first_escape(loop: ClosedLoop, pieces: Sequence[Array]) -> Escape | None:
     cells has to be empty.
     """
     hulls = [_hull([binary(corner) for corner in piece]) for piece in pieces]
-    whole = [(cell, _hull(cell.corners)) for cell in cells(loop)]
+    whole = [(cell, _around(cell.part)) for cell in cells(loop)]
     without_successor = _without_successor(loop, hulls, [corners for _, corners in whole])
     if without_successor is not None:
         return without_successor
@@ -144,6 +145,19 @@ def _hull(points: Sequence[Point]) -> Polygon:
         return kept[:-1]
 
     return chain(ordered) + chain(ordered[::-1])
+
+
+def _around(part: ExactPolytope) -> Polygon:
+    """The corners of an ExactPolytope, counter-clockwise: each shares an edge with the next."""
+    if part.dimension < 2:
+        return part.vertices
+    order, rest = [0], list(range(1, len(part.points)))
+    while rest:
+        following = next(j for j in rest if part.share_edge(order[-1], j))
+        order.append(following)
+        rest.remove(following)
+    corners = [part.vertices[i] for i in order]
+    return corners if _turn(*corners[:3]) > 0 else corners[::-1]
 
 
 def _turn(x: Point, y: Point, z: Point) -> Rational:

@@ -157,13 +157,11 @@ class ExactPolytope:
                 tight.append(self.tight[i] if value < 0 else self.tight[i] | bit)
                 if value < 0:
                     inside.append(i)
-        least = len(row) - 2
         for i in inside:
             for j in beyond:
-                common = self.tight[i] & self.tight[j]
-                if common.bit_count() >= least and self._is_edge(common):
+                if self.share_edge(i, j):
                     points.append(_between(self.points[i], self.points[j], values[i], values[j]))
-                    tight.append(common | bit)
+                    tight.append(self.tight[i] & self.tight[j] | bit)
         return ExactPolytope(
             tuple(points), tuple(tight), (*self.rows, row), self.dimension if inside else dimension(points)
         )
@@ -175,9 +173,11 @@ class ExactPolytope:
             part = part.clip(row)
         return part
 
-    def _is_edge(self, common: int) -> bool:
-        """Whether only two vertices lie on the rows of a mask."""
-        found = 0
+    def share_edge(self, i: int, j: int) -> bool:
+        """Whether no third vertex lies on all rows on which two vertices lie, at least n - 1 of them."""
+        common, found = self.tight[i] & self.tight[j], 0
+        if common.bit_count() < len(self.points[i]) - 2:
+            return False
         for mask in self.tight:
             if mask & common == common:
                 found += 1
