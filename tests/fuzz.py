@@ -72,7 +72,9 @@ def some_sets(loop, rng):
 
 def size_of(loop):
     """Largest coordinate of R_1(X)."""
-    return np.abs(support(loop, loop.system.state_set, box_directions(2), engine="exact").bound).max()
+    return np.abs(
+        support(loop, loop.system.state_set, box_directions(loop.system.state_size), engine="exact").bound
+    ).max()
 
 
 def widened(F, by):
@@ -80,18 +82,68 @@ def widened(F, by):
     return Polytope(F.H, F.h + by * np.linalg.norm(F.H, axis=1))
 
 
-def disagreements(seed, milp_sets=2):
-    """What is wrong with the answers about one random loop: list of str, and a Counter of the questions asked.
+def space_loop(seed, n):
+    """A smaller loop with n states, for n > 2: up to five modes, one or two inputs, up to two layers."""
+    rng = np.random.default_rng([seed, n])
+    return rng, random_loop(
+        seed,
+        n=n,
+        m=int(rng.integers(1, 3)),
+        cuts=int(rng.integers(0, 4)),
+        with_input=bool(rng.integers(0, 2)),
+        saturated=bool(rng.integers(0, 2)),
+        layers=int(rng.integers(1, 3)),
+        width=int(rng.integers(1, 4)),
+        pool=int(rng.integers(1, 4)),
+        gain=float(rng.choice([0.3, 0.6, 1.5])),
+    )
+
+
+def space_sets(loop, rng):
+    """Pairs (kind, Polytope) as `some_sets`, for n > 2."""
+    X, n = loop.system.state_set, loop.system.state_size
+    x, v = X.sample(rng, n + 3), rng.normal(size=n)
+    first, width = np.arange(n) == 0, 10.0 ** rng.uniform(-13, -2)
+    low, high = np.minimum(x[0], x[1]), np.maximum(x[0], x[1])
+    yield "X", X
+    yield "beyond X", X.scale(1.5)
+    yield "hull", Polytope.from_points(x)
+    yield "box", Polytope.box(low, high)
+    yield "flat box", Polytope.box(np.where(first, x[0], low), np.where(first, x[0], high))
+    yield "point", Polytope.box(x[0], x[0])
+    yield "sliver", X & Polytope([v, -v], [v @ x[0] + width, -v @ x[0] + width])
+    tilted = v + 10.0 ** rng.uniform(-9, -2) * rng.normal(size=n)
+    yield "needle", X & Polytope([v, -tilted], [v @ x[0], -tilted @ x[0]])
+    rows = [row for mode in loop.system.modes for row in zip(mode.region.H, mode.region.h) if not row[0][n:].any()]
+    if rows:
+        a, b = rows[rng.integers(len(rows))]
+        t = x[0] + (b - a[:n] @ x[0]) / (a[:n] @ a[:n]) * a[:n]
+        yield "at a point", Polytope.box(t, t)
+        yield "at a face", X & Polytope([a[:n], -a[:n]], [b, -b])
+        yield "at one side", X & Polytope([a[:n]], [b])
+
+
+def disagreements(seed, milp_sets=2, n=2, most_sets=99):
+    """What is wrong with the answers about one random loop with n states: list of str, and a Counter of the questions.
 
     For every set F and direction v, with h = h of R_1(F) along v by the exact engine: no sampled image passes a bound;
     h <= bound of the float cells <= h + CLOSE; h <= bound of the MILP <= h + RESOLVED. Where F touches a boundary of
     regions, whatever has tolerances may count what exact arithmetic finds apart by rounding, and a MILP solver
     moves the tip of a needle: there the upper limit is taken from F widened by TOUCHING.
     """
-    rng, loop = some_loop(seed)
-    V = np.vstack([directions(5), rng.normal(size=(1, 2)) * 30])
+    if n == 2:
+        rng, loop = some_loop(seed)
+        V, sets = np.vstack([directions(5), rng.normal(size=(1, 2)) * 30]), some_sets
+    else:
+        rng, loop = space_loop(seed, n)
+        V, sets = (
+            np.vstack([box_directions(n)[[0, n]], rng.normal(size=(3, n)), rng.normal(size=(1, n)) * 30]),
+            space_sets,
+        )
     length, found, asked = np.maximum(1, np.linalg.norm(V, axis=1)), [], Counter()
-    size, sets = size_of(loop), list(some_sets(loop, rng))
+    size, sets = size_of(loop), list(sets(loop, rng))
+    if len(sets) > most_sets:
+        sets = [sets[i] for i in rng.choice(len(sets), most_sets, replace=False)]
     for_milp = set(rng.choice(len(sets), milp_sets, replace=False).tolist())
     for number, (kind, F) in enumerate(sets):
         h = support(loop, F, V, engine="exact").bound
@@ -102,7 +154,7 @@ def disagreements(seed, milp_sets=2):
             except SolverError:
                 asked["milp without an answer"] += len(V)
         at = {who: support(loop, widened(F, by), V, engine="exact").bound for who, by in TOUCHING.items()}
-        images = random_images(loop, F, rng, SAMPLES) @ V.T
+        images = np.zeros((0, len(V))) if F.is_empty else random_images(loop, F, rng, SAMPLES) @ V.T
         asked["sampled images"] += len(images)
         for engine, (bound, above) in bounds.items():
             asked[engine] += len(V)
@@ -208,7 +260,7 @@ def wrong_verdicts(seed, time_limit=0.5):
     for number, F in enumerate(hard_sets(loop, rng)):
         truth, where = exact_highest(loop, F, V), f"seed {seed}, set {number}"
         asked["supports in fractions"] += sum(value is not None for value in truth)
-        engines = [Cells(), Exact()] if n == 2 else [Exact()]
+        engines = [Cells(), Exact()]
         engines += [Milp(**options, time_limit=time_limit)] if number in chosen else []
         for engine in engines:
             asked[f"bounds by {engine.name}"] += len(V)
