@@ -264,7 +264,8 @@ def test_sets_that_the_milp_found_in_the_plane_are_proven_exactly(seed):
 def test_more_than_two_states_carry_bounds_that_nobody_calls_proven(tmp_path, capsys):
     loop, safe = small_loop(0, n=3, cuts=1, layers=1)
     terminal = mr.terminal_set(loop, safe, max_steps=2)
-    made = certificate.write(tmp_path / "it.json", loop, safe, terminal)
+    assert certificate.make(loop, safe, terminal).content["bounds"]["solver"] == "cells"
+    made = certificate.write(tmp_path / "it.json", loop, safe, terminal, engine="milp")
     assert set(verdicts(made).values()) == {"not checked"}
     offsets = np.array(made.content["bounds"]["offsets"])
     sets = np.array(made.content["sets"])

@@ -17,6 +17,7 @@ from loops import (
 )
 
 from mireach import (
+    CellLimitError,
     ClosedLoop,
     Layer,
     MaxoutNetwork,
@@ -394,7 +395,7 @@ def test_too_many_pieces_are_refused(monkeypatch):
     import mireach.engines.cells as module
 
     monkeypatch.setattr(module, "MOST_PIECES", 3)
-    with pytest.raises(ValueError, match=r"after 1 steps .* pieces; take fewer steps"):
+    with pytest.raises(CellLimitError, match=r"after 1 steps .* pieces; take fewer steps"):
         Cells().support(random_loop(0, cuts=3), SETS["X"], V, 2)
 
 

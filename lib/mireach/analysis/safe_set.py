@@ -123,8 +123,8 @@ def safe_set(
     limit, weights = X.offsets(V), own_units(loop).rows(V)[1]
     h, history = X.bound(V), [X]
     image: Support | None = None
-    if cut_first and not engine.cuts:
-        raise ValueError(f'the engine "{engine.name}" cannot cut first: it has no cut_support; use engine="cells"')
+    if cut_first and not engine.cuts(loop):
+        raise ValueError(f'the engine "{engine.name}" cannot cut first; use engine="cells", for two states')
     believed = cut_first  # whether R_1(F_k) in F_k is settled for itself: a bound may be a solver's, or one within X
     with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
         for k in range(max_iterations + 1):

@@ -112,8 +112,8 @@ def make(
         The plant that the loop's system approximates, with a polynomial f: the error set and Theorem 2 are claimed as
         well.
     engine : Engine, str or None
-        The engine of the bounds in the certificate, for more than two states; None is the MILP. For two states the
-        bounds are exact.
+        The engine of the bounds in the certificate, for more than two states; None as in `mireach.support`. For two
+        states the bounds are exact.
 
     Returns
     -------

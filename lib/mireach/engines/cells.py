@@ -335,6 +335,15 @@ class Cells(Engine):
             return found
         return CellSupport(found.value, found.bound, witness, F, every.cells, left)
 
+    def cuts(self, loop: ClosedLoop) -> bool:
+        """True for two states.
+
+        Parameters
+        ----------
+        loop : ClosedLoop
+        """
+        return loop.system.state_size == 2
+
     def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
         """Upper bounds of the support function of R_1(F) & X, as `Engine.cut_support`, for two states.
 
@@ -354,6 +363,8 @@ class Cells(Engine):
         ValueError
             If the loop does not have two states.
         """
+        if not self.cuts(loop):
+            raise ValueError(f"cut_support needs two states, but the loop has {loop.system.state_size}")
         every = dynamics(loop)
         return _highest_in_state_set(loop.system.state_set, every, F, _rows(loop, every, V.shape, V.tobytes()))
 
