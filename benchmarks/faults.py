@@ -24,7 +24,7 @@ SECONDS = 600  # for the tests of one fault
 FAILED = re.compile(r"^FAILED (.+?)(?: - .*)?$", re.MULTILINE)
 TESTS = {  # the pytest arguments that must catch the faults of a room
     "cells": "tests/engines/test_cells.py -k 'both_values or network or only_rounding or error_of or acts or line'",
-    "compiled": "tests/sets/test_kernels.py tests/engines/test_cells.py -k 'compiled or both_values or ties or point'",
+    "kernels": "tests/sets/test_kernels.py tests/engines/test_cells.py -k 'kernels or both_values or ties or point'",
     "exact": "tests/engines/test_exact.py tests/engines/test_exact_cells.py tests/engines/test_exact_plane.py",
     "exact polytopes": "tests/sets/test_exact_polytopes.py",
     "steps": "tests/engines/test_steps.py",
@@ -78,28 +78,28 @@ FAULTS = (
         "modes = np.flatnonzero([len(corners) and np.ptp(corners, axis=0).min() > 0 for corners in found])",
     ),
     Fault(
-        "compiled",
+        "kernels",
         "sets/kernels.py",
         "_doubt ignores the gaps between pieces",
         "most = max(most, neuron.error[base + c] + ahead + (abs(a0) + abs(a1)) * slits)",
         "most = max(most, neuron.error[base + c] + ahead)",
     ),
     Fault(
-        "compiled",
+        "kernels",
         "sets/kernels.py",
         "sets that touch up to rounding count as disjoint",
         "            if excess[t] <= line.touch:",
         "            if excess[t] <= slack:",
     ),
     Fault(
-        "compiled",
+        "kernels",
         "sets/kernels.py",
         "_cut loses new corners above or beside an old one",
         "if polygon[end, 0] != x or polygon[end, 1] != y:",
         "if polygon[end, 0] != x and polygon[end, 1] != y:",
     ),
     Fault(
-        "compiled",
+        "kernels",
         "sets/kernels.py",
         "dual_bounds does not count its rounding",
         "            value = value + (rest0 + rest1) * extent * (1 + EXPRESSION)\n"
