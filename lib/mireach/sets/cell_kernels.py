@@ -234,14 +234,12 @@ def _clip(cell: Cell, row: Array, work: Work) -> int:
     points, masks = cell.points, cell.masks
     excess, simple = work.excess, work.simple
     n, size, words = points.shape[1], cell.used[0], masks.shape[1]
-    least: float = np.inf
-    most: float = -np.inf
+    least, most = np.inf, -np.inf
     for t in range(size):
-        beyond = -row[n]
+        excess[t] = -row[n]
         for i in range(n):
-            beyond += row[i] * points[t, i]
-        excess[t] = beyond
-        least, most = min(least, beyond), max(most, beyond)
+            excess[t] += row[i] * points[t, i]
+        least, most = min(least, excess[t]), max(most, excess[t])
     if most <= TIE:
         return WHOLE
     if least > TIE:
