@@ -241,14 +241,14 @@ def support(
                 f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, a smaller F, "
                 'or engine="milp"'
             )
-    best = [_highest(every, rows, piece.set, chosen) for piece in pieces if not piece.set.is_empty]
-    if not best:
+    found = [(piece, _highest(every, rows, piece.set, chosen)) for piece in pieces]
+    found = [(piece, best) for piece, best in found if not _is_empty(every, piece.set, best)]
+    if not found:
         return empty_support(len(V))
+    pieces, best = zip(*found)
     tops = np.array([found.top for found in best])
     end, k = tops.argmax(axis=0), np.arange(len(V))
     value, top = np.array([found.value for found in best])[end, k], tops[end, k]
-    if not np.isfinite(top).all():
-        return empty_support(len(V))
     witness = LazySequence(len(V), lambda k: _witness(loop, every, F, V[k], pieces[end[k]], best[end[k]], k))
     bound = np.ceil(top / rows.unit + 0.05) * rows.unit
     if steps > 1:
@@ -303,10 +303,18 @@ def _highest(every: LoopCells, rows: _Rows, F: Polytope, chosen: IntArray) -> _H
     return _Highest(value, top, owner, left, points)
 
 
+def _is_empty(every: LoopCells, F: Polytope, best: _Highest) -> bool:
+    """Whether F is empty or meets no cell. The middle of its part in a cell may show at once that it is not."""
+    if not np.isfinite(best.top).all():
+        return True
+    part, _ = every.cells.complex.take(best.owner[:1]).clip(np.column_stack([F.H, F.h]))
+    x = part.points.mean(axis=0)
+    rounding = (len(x) + 4) * ROUNDOFF * (np.abs(F.H) @ np.abs(x) + np.abs(F.h))
+    return bool((F.H @ x + rounding > F.h).any()) and F.is_empty
+
+
 def _images(loop: ClosedLoop, every: LoopCells, piece: Piece) -> list[Piece]:
     """The images of the parts of a piece, widened by D and by their errors."""
-    if piece.set.is_empty:
-        return []
     part, owner = every.cells.complex.clip(np.column_stack([piece.set.H, piece.set.h]))
     found = []
     corners = [mode.disturbance.vertices() for mode in loop.system.modes]
