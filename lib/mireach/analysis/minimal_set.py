@@ -15,7 +15,7 @@ from ..tolerances import CLEAR
 from ..typing import Array, ArrayLike
 from .arguments import Centre, centre_point, template, with_rows
 from .contraction import scaled
-from .reach import support
+from .reach import require_bounds, support
 from .rpi import check_rpi, require_rpi
 from .safe_set import SafeSet, set_to_start_from
 
@@ -109,6 +109,7 @@ def scaled_minimal_set(
     h, weights = V @ c, own_units(loop).rows(V)[1]
     for k in range(1, max_steps + 1):
         after = support(loop, history[-1], V, engine=engine).bound
+        require_bounds(after, engine)
         history.append(Polytope(V, after))
         candidate = scaled(history[-1], 1 + epsilon, c)
         if not history[-1].is_subset(X):

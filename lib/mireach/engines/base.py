@@ -105,8 +105,8 @@ class Support(Result):
     rests_on : str
         What `bound` rests on: `EXACT`, `COUNTED` or `SOLVER`.
     resolution : array (k,) or float
-        Bounds may lie above the true values by this much. A bound that exceeds a limit by less is a tie, not yet
-        a violation (units of v x).
+        `Engine.resolution` in units of v x, which `mireach.support` sets: a bound that exceeds a limit by less is a
+        tie, not yet a violation.
     source : Support or None
         The result of the engine, in the units of `units.own_units`: a warm start for a smaller set. `mireach.support`
         sets it.
@@ -138,8 +138,10 @@ class Engine(ABC):
     name : str
         The name of the engine in messages and reports.
     resolution : float
-        `bound` may lie above the true value by this much, relative to the size of X. A bound that exceeds a limit by
-        less is a tie. 0 for engines whose error is of the order of rounding.
+        A tolerance that verdicts allow, relative to the size of X, at most 1e-5. A bound that exceeds a limit by less
+        is a tie, and "proven" then says "to within" this tolerance where exact arithmetic cannot decide. It is the
+        tolerance of a solver, and not how loose the bounds are: an engine with loose bounds keeps 0, as does one
+        whose error is of the order of rounding.
     time_limit : float or None
         Seconds for one call of `mireach.support`, the check that Phi lies in U included. Declare it as a field if the
         engine has such a setting: `mireach.support` then passes a copy of the engine with the seconds that are left.
@@ -156,8 +158,10 @@ class Engine(ABC):
 
     - No trajectory from F exceeds `bound`, for any mode on a shared boundary. An engine that has no bound along a row
       returns inf there. `rests_on` says what the bound rests on: `EXACT` without rounding, `COUNTED` if bounds on all
-      rounding errors are included, `SOLVER` if a solver is trusted. With `SOLVER`, the analyses do not call a property
-      proven without a second check.
+      rounding errors are included, `SOLVER` if a solver is trusted. With `SOLVER`, exact arithmetic decides wherever
+      the loop has few enough cells. Elsewhere a bound counts only if the engine states the tolerance of its solver as
+      its `resolution`: the verdict then holds to within this tolerance and says that it is a solver's word. Without
+      one, the verdict is "unknown". So an estimate never proves anything.
     - `value` is attained by `witness`, a trajectory from F & X whose states before the last lie in X.
 
     An engine may be called from several threads and must not change its arguments. Keep random numbers reproducible:
@@ -268,6 +272,8 @@ class Engine(ABC):
 
     def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
         """Upper bounds of the support function of R_1(F) & X along the rows of V. An engine may lack this method.
+
+        They must be tight up to rounding: `safe_set` reads from them that its sequence has come to rest.
 
         Parameters
         ----------
