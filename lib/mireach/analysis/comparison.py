@@ -145,6 +145,21 @@ def compare(
     Returns
     -------
     Comparison
+
+    Notes
+    -----
+    What decides the rows with a limit:
+
+    ==============  ============  ==================================  =============================================
+    bounds          tol           with exact arithmetic               without (more states, or a time limit passed)
+    ==============  ============  ==================================  =============================================
+    proven          a number      the bound <= limit + tol            the same
+    proven          None          the bound, then the exact value     the bound <= limit + resolution (two states: 0)
+    solver's word   a number      the exact value <= limit + tol      the bound <= limit + tol, if resolution > 0
+    solver's word   None          the exact value <= limit            as for proven bounds, if resolution > 0
+    ==============  ============  ==================================  =============================================
+
+    Exact arithmetic is left out where a value clearly exceeds a limit, unless `thorough`: then not all rows hold.
     """
     engine = engine_for(loop, engine)
     asked = np.isfinite(limit)
