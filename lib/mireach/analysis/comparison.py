@@ -173,30 +173,28 @@ def compare(
     believed = settled == SOLVER
     holds = ~asked if believed else ~asked | (bound <= allowed)
     if not holds.all() and (tol is None or believed):
-        resolved = holds | _resolved(loop, found, allowed, engine, tol)
+        resolved = holds | _resolved(loop, found, allowed, tol)
         clear = asked & ((found.value - allowed) * own_units(loop).rows(V)[1] > CLEAR)
         if (thorough or resolved.all() or not clear.any()) and _can_be_exact(loop, stopped):
             rows = np.flatnonzero(~holds)
             bound = bound.copy()
             bound[rows] = support(loop, F, V[rows], engine=Exact(_most_cells(loop))).bound
             holds, settled = holds | (bound <= allowed), EXACT
-        elif engine.resolution and (tol is not None or loop.system.state_size > 2):
+        elif engine.resolution:  # without one, a solver's word counts nowhere
             holds, settled = resolved, WITHIN.format(engine.resolution, settled)
     if tol is not None and not (bound <= limit)[asked].all():
         settled = f"to within tol = {tol:g}, {settled}"
     return Comparison(loop, F, V, limit, found, bound, holds, settled, stopped)
 
 
-def _resolved(loop: ClosedLoop, found: Support, allowed: Array, engine: Engine, tol: float | None) -> NDArray[np.bool_]:
+def _resolved(loop: ClosedLoop, found: Support, allowed: Array, tol: float | None) -> NDArray[np.bool_]:
     """Rows whose bound keeps what is allowed, as far as the engine resolves it, where exact arithmetic cannot decide.
 
-    A solver's word counts only with a resolution. In the plane nothing counts to within a resolution, only to within a
-    `tol` that is asked for.
+    In the plane nothing counts to within a resolution, only to within a `tol` that is asked for.
     """
-    if tol is not None or loop.system.state_size > 2:
-        if found.rests_on != SOLVER or engine.resolution:
-            return found.bound <= allowed + (found.resolution if tol is None else 0.0)
-    return np.zeros(len(allowed), bool)
+    if tol is None and loop.system.state_size == 2:
+        return np.zeros(len(allowed), bool)
+    return found.bound <= allowed + (found.resolution if tol is None else 0.0)
 
 
 def is_attained(loop: ClosedLoop, found: Support, V: Array, offsets: Array) -> bool:
