@@ -11,7 +11,7 @@ from omlt.neuralnet import FullSpaceNNFormulation, NetworkDefinition
 from omlt.neuralnet.layer import DenseLayer, InputLayer
 from pyomo.contrib.solver.solvers.highs import Highs
 
-from mireach.engines.milp.formulation import disturbance_box
+from mireach.engines.boxes import disturbance_box
 from mireach.tolerances import FEASIBILITY, INTEGRALITY, MIP_GAP
 
 OPTIONS = {

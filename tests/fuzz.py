@@ -12,6 +12,7 @@ from mireach import Cells, Exact, Milp, Polytope, SolverError, SolverStopped, bo
 
 CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, for rows of length 1
 RESOLVED = 1e-6  # what bounds of the MILP may lie above it
+FLOATS = {"exact": 0.0, "cells": CLOSE}  # engines that answer about every set, and these limits; None for a loose one
 ROUNDED = 1e-12  # by which the images of samples may pass a bound, for the samples themselves are rounded
 TOUCHING = {"cells": 1e-10, "milp": 1e-7, "samples": 1e-12}  # sets that come this close may count as touching
 SAMPLES = 20
@@ -129,7 +130,8 @@ def disagreements(seed, milp_sets=2, n=2, most_sets=99):
     For every set F and direction v, with h = h of R_1(F) along v by the exact engine: no sampled image passes a bound;
     h <= bound of the float cells <= h + CLOSE; h <= bound of the MILP <= h + RESOLVED. Where F touches a boundary of
     regions, whatever has tolerances may count what exact arithmetic finds apart by rounding, and a MILP solver
-    moves the tip of a needle: there the upper limit is taken from F widened by TOUCHING.
+    moves the tip of a needle: there the upper limit is taken from F widened by TOUCHING. No value passes h, or
+    this limit, by more than CLOSE.
     """
     if n == 2:
         rng, loop = some_loop(seed)
@@ -147,21 +149,25 @@ def disagreements(seed, milp_sets=2, n=2, most_sets=99):
     for_milp = set(rng.choice(len(sets), milp_sets, replace=False).tolist())
     for number, (kind, F) in enumerate(sets):
         h = support(loop, F, V, engine="exact").bound
-        bounds = {"exact": (h, 0.0), "cells": (support(loop, F, V, engine="cells").bound, CLOSE)}
+        answers = {name: (support(loop, F, V, engine=name), above) for name, above in FLOATS.items()}
         if number in for_milp:
             try:
-                bounds["milp"] = (support(loop, F, V, engine="milp").bound, RESOLVED)
+                answers["milp"] = (support(loop, F, V, engine="milp"), RESOLVED)
             except SolverError:
                 asked["milp without an answer"] += len(V)
         at = {who: support(loop, widened(F, by), V, engine="exact").bound for who, by in TOUCHING.items()}
         images = np.zeros((0, len(V))) if F.is_empty else random_images(loop, F, rng, SAMPLES) @ V.T
         asked["sampled images"] += len(images)
-        for engine, (bound, above) in bounds.items():
+        for engine, (answer, above) in answers.items():
+            bound, value = answer.bound, answer.value
             asked[engine] += len(V)
             tolerant = kind.startswith("at") or (kind == "needle" and engine == "milp")
             limit = at.get(engine, h) if tolerant else h
-            for k in np.flatnonzero((bound < h) | (bound > limit + above * length)):
+            most = np.inf if above is None else limit + above * length
+            for k in np.flatnonzero((bound < h) | (bound > most)):
                 found.append(f"seed {seed}, {kind}, direction {k}: {engine} {bound[k]!r}, exact {h[k]!r}")
+            for k in np.flatnonzero(value > limit + CLOSE * length * max(1, size)):
+                found.append(f"seed {seed}, {kind}, direction {k}: {engine} attains {value[k]!r}, exact {h[k]!r}")
             reached = np.maximum(bound, at["samples"]) if kind.startswith("at") else bound
             for k in np.flatnonzero((images > reached + ROUNDED * length * max(1, size)).any(axis=0)):
                 found.append(f"seed {seed}, {kind}, direction {k}: a sampled image passes the bound of {engine}")

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from .certificate import checker
+from .engines.registry import ENGINES
 from .errors import MireachError
 from .studies.case_studies import NAMES, PAPER_NAMES
 
@@ -20,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     task.add_argument("--results", default="results", help="folder of report.json and report.md")
     task.add_argument("--figures", default="docs/figures", help="folder of the figures")
     task.add_argument("--certificates", default="data", help="folder that gets CASE/certificate.json")
-    task.add_argument("--engine", choices=["cells", "milp", "exact", "cvxpy"], help="default: cells")
+    task.add_argument("--engine", choices=list(ENGINES), help="default: cells")
     task.add_argument("--no-cross-check", action="store_true", help="leave out the comparison with the MILP")
     task.set_defaults(run=_reproduce)
 

@@ -68,8 +68,8 @@ def test_an_engine_of_ones_own_is_asked_in_the_units_of_the_loop():
     """The bounds of a box around sampled images, widened: in kilometres as in micrometres."""
 
     @dataclass(frozen=True)
-    class Sampling(Engine):
-        name = "sampling"
+    class Widened(Engine):
+        name = "widened"
         wider: float = 0.1
 
         def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None):
@@ -79,9 +79,9 @@ def test_an_engine_of_ones_own_is_asked_in_the_units_of_the_loop():
 
     loop = mr.case_study("pwa").loop
     F = loop.system.state_set.scale(0.2)
-    found, cells = (support(loop, F, directions(8), engine=engine) for engine in (Sampling(), Cells()))
+    found, cells = (support(loop, F, directions(8), engine=engine) for engine in (Widened(), Cells()))
     assert (found.bound >= cells.bound).all() and (found.bound <= cells.bound + 2.0).all()
-    inner, outer = (mr.outer_step(loop, F, directions(8), engine) for engine in (Cells(), Sampling(0.3)))
+    inner, outer = (mr.outer_step(loop, F, directions(8), engine) for engine in (Cells(), Widened(0.3)))
     assert inner.is_subset(outer)
 
 

@@ -6,8 +6,8 @@ from loops import random_loop, random_network
 
 from mireach import Polytope, Support, directions, safe_set
 from mireach.engines.bounds import upper_bound
+from mireach.engines.boxes import Boxes, bound_loop
 from mireach.engines.exact import Exact
-from mireach.engines.milp.boxes import Boxes, bound_loop
 from mireach.engines.milp.engine import Milp
 from mireach.engines.milp.formulation import add_network
 from mireach.solvers.linear_program import LinearProgram

@@ -9,8 +9,7 @@ from loops import affine_loop, exact_input, in_other_units, narrow_spike, random
 import mireach as mr
 from mireach import Polytope
 from mireach.engines.inputs import violating_state
-
-ENGINES = ["cells", "exact", "milp", "cvxpy"]
+from mireach.engines.registry import ENGINES
 
 
 def beside(F):

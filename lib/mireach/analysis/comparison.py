@@ -3,7 +3,8 @@
 A row "holds" because of a bound that includes all rounding errors or, if floats do not decide it, because of exact
 arithmetic. R_1(F) "leaves" a half-space because of a step in rational numbers. A loop with three or more states may
 have too many cells for exact arithmetic (`FEW_CELLS`). Rows that are then undecided hold to within the resolution of
-the MILP, and the result states this.
+the MILP, and the result states this. A bound that rests on a solver's word decides no row by itself: it needs exact
+arithmetic, or a resolution that the engine states for its solver.
 """
 
 from dataclasses import dataclass, field
@@ -68,7 +69,13 @@ class Comparison:
     @property
     def worst(self) -> int:
         """The row whose bound exceeds its limit by the largest amount."""
-        return int(np.argmax((self.bound - self.limit) * self.weights))
+        asked = np.isfinite(self.limit)
+        return int(np.argmax(np.where(asked, self.bound - np.where(asked, self.limit, 0), -np.inf) * self.weights))
+
+    @property
+    def is_believed_only(self) -> bool:
+        """Whether all bounds keep their limits, but some rest on a solver's word that nothing confirms."""
+        return not self.holds.all() and bool((self.bound <= self.limit).all())
 
     def escape(self, row: int) -> Witness | None:
         """A step from F that exceeds the limit of a row in exact arithmetic, or None."""
@@ -93,7 +100,7 @@ class Comparison:
             step = steps.farthest_step(self.loop, self.F, v, witness.states[0], int(witness.modes[0]))
             if step is not None and step.value > limit:
                 return step
-        if self.found.value[row] > -np.inf and _can_be_exact(self.loop, self.stopped):
+        if _can_be_exact(self.loop, self.stopped):
             found = exact.support_steps(self.loop, self.F, v[None], _most_cells(self.loop))
             if found is not None and found[0].value > limit:
                 return found[0]
@@ -126,7 +133,9 @@ def compare(
     tol : float or None
         A row holds if its bound is at most limit + tol (units of V x). None is no tolerance at all if exact arithmetic
         can decide: for two states, and for more if the loop has few cells, up to 2,000 for three states and half as
-        many for each further one. Otherwise None is the resolution of the engine.
+        many for each further one. Otherwise None is the resolution of the engine. If the bounds rest on a solver's
+        word, exact arithmetic decides with any tol; where it cannot, rows hold only for engines with a resolution
+        above 0.
     thorough : bool
         Whether exact arithmetic must decide every row in doubt, even if floats show that another row clearly does not
         hold.
@@ -136,6 +145,21 @@ def compare(
     Returns
     -------
     Comparison
+
+    Notes
+    -----
+    What decides the rows with a limit:
+
+    ==============  ============  ==================================  =============================================
+    bounds          tol           with exact arithmetic               without (more states, or a time limit passed)
+    ==============  ============  ==================================  =============================================
+    proven          a number      the bound <= limit + tol            the same
+    proven          None          the bound, then the exact value     the bound <= limit + resolution (two states: 0)
+    solver's word   a number      the exact value <= limit + tol      the bound <= limit + tol, if resolution > 0
+    solver's word   None          the exact value <= limit            as for proven bounds, if resolution > 0
+    ==============  ============  ==================================  =============================================
+
+    Exact arithmetic is left out where a value clearly exceeds a limit, unless `thorough`: then not all rows hold.
     """
     engine = engine_for(loop, engine)
     asked = np.isfinite(limit)
@@ -145,22 +169,40 @@ def compare(
         if stop.support is None:
             raise
         found, stopped = stop.support, f"; {stop}"
-    bound, rests, planar = found.bound, found.rests_on, loop.system.state_size == 2
-    holds = ~asked | (bound <= limit + (0.0 if tol is None else tol))
-    settled = rests if tol is None or (bound <= limit)[asked].all() else f"to within tol = {tol:g}, {rests}"
-    if tol is None and rests == SOLVER:
-        holds = ~asked  # a solver's word is not taken where exact arithmetic is at hand
-    if tol is None and not holds.all():
-        resolved = holds if planar else ~asked | (bound <= limit + found.resolution)
-        clear = asked & ((found.value - limit) * own_units(loop).rows(V)[1] > CLEAR)
+    bound, settled, allowed = found.bound, found.rests_on, limit + (0.0 if tol is None else tol)
+    believed = settled == SOLVER
+    holds = ~asked if believed else ~asked | (bound <= allowed)
+    if not holds.all() and (tol is None or believed):
+        resolved = holds | _resolved(loop, found, allowed, tol)
+        clear = asked & ((found.value - allowed) * own_units(loop).rows(V)[1] > CLEAR)
         if (thorough or resolved.all() or not clear.any()) and _can_be_exact(loop, stopped):
             rows = np.flatnonzero(~holds)
             bound = bound.copy()
             bound[rows] = support(loop, F, V[rows], engine=Exact(_most_cells(loop))).bound
-            holds, settled = holds | (bound <= limit), EXACT
-        elif not planar:
-            holds, settled = resolved, WITHIN.format(engine.resolution, rests) if engine.resolution else rests
+            holds, settled = holds | (bound <= allowed), EXACT
+        elif engine.resolution:  # without one, a solver's word counts nowhere
+            holds, settled = resolved, WITHIN.format(engine.resolution, settled)
+    if tol is not None and not (bound <= limit)[asked].all():
+        settled = f"to within tol = {tol:g}, {settled}"
     return Comparison(loop, F, V, limit, found, bound, holds, settled, stopped)
+
+
+def _resolved(loop: ClosedLoop, found: Support, allowed: Array, tol: float | None) -> NDArray[np.bool_]:
+    """Rows whose bound keeps what is allowed, as far as the engine resolves it, where exact arithmetic cannot decide.
+
+    In the plane nothing counts to within a resolution, only to within a `tol` that is asked for.
+    """
+    if tol is None and loop.system.state_size == 2:
+        return np.zeros(len(allowed), bool)
+    return found.bound <= allowed + (found.resolution if tol is None else 0.0)
+
+
+def is_attained(loop: ClosedLoop, found: Support, V: Array, offsets: Array) -> bool:
+    """Whether the values of a Support reach offsets (k,) along V, up to rounding and the resolution of its engine.
+
+    Where they do not, the bounds may be loose: what follows from them about the largest value of v x is not shown.
+    """
+    return bool((found.value >= offsets - found.resolution - CLEAR / own_units(loop).rows(V)[1]).all())
 
 
 def _can_be_exact(loop: ClosedLoop, stopped: str) -> bool:
@@ -177,6 +219,14 @@ def _can_be_exact(loop: ClosedLoop, stopped: str) -> bool:
 def _most_cells(loop: ClosedLoop) -> int:
     """The cells that exact arithmetic can afford for a loop: in the plane as many as it ever keeps."""
     return MOST_CELLS if loop.system.state_size == 2 else FEW_CELLS
+
+
+def believed(engine: Engine) -> str:
+    """The reason why bounds that keep all limits prove nothing; see `Comparison.is_believed_only`."""
+    return (
+        f"the bounds of the engine {engine.name} are {SOLVER}, its resolution is {engine.resolution:g}, "
+        "and the loop has too many cells for exact arithmetic"
+    )
 
 
 def weaker(*settled: str) -> str:

@@ -4,13 +4,14 @@ import numpy as np
 
 from ..arithmetic.rational import above, below, binary, dot
 from ..checks import positive_number, require_kind
-from ..engines.base import Engine
+from ..engines.base import SOLVER, Engine
 from ..engines.registry import engine_for
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..tolerances import EXPRESSION
 from ..typing import Array
 from .arguments import Centre, centre_point
+from .comparison import compare
 from .reach import support
 
 
@@ -76,7 +77,12 @@ def contraction(
 
     def holds(alpha: float) -> bool:
         grown = scaled(R, alpha, c)
-        return grown.is_subset(X) and bool((support(loop, grown, R.H, engine=engine, cutoff=R.h).bound <= R.h).all())
+        if not grown.is_subset(X):
+            return False
+        found = support(loop, grown, R.H, engine=engine, cutoff=R.h)
+        if not (found.bound <= R.h).all():
+            return False
+        return found.rests_on != SOLVER or bool(compare(loop, grown, R.H, R.h, engine, cutoff=R.h).holds.all())
 
     low, high = 1.0, largest
     while high - low > accuracy:

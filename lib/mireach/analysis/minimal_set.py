@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..checks import positive_number, whole_number
-from ..engines.base import Engine
+from ..engines.base import SOLVER, Engine
 from ..engines.registry import engine_for
 from ..engines.units import own_units
 from ..results import Result, Verdict
@@ -14,8 +14,9 @@ from ..systems.loop import ClosedLoop
 from ..tolerances import CLEAR
 from ..typing import Array, ArrayLike
 from .arguments import Centre, centre_point, template, with_rows
+from .comparison import compare
 from .contraction import scaled
-from .reach import support
+from .reach import require_bounds, support
 from .rpi import check_rpi, require_rpi
 from .safe_set import SafeSet, set_to_start_from
 
@@ -36,7 +37,7 @@ class MinimalSet(Result):
         Whether `set` is RPI.
     reached_at : int or None
         First j with R_j-bar(F_max) in `set`; then `set` may be used as terminal set. None if there is no such j, or no
-        F_max was given.
+        F_max was given, or if bounds on the way are a solver's word that nothing confirms.
     reason : str
     """
 
@@ -109,6 +110,7 @@ def scaled_minimal_set(
     h, weights = V @ c, own_units(loop).rows(V)[1]
     for k in range(1, max_steps + 1):
         after = support(loop, history[-1], V, engine=engine).bound
+        require_bounds(after, engine)
         history.append(Polytope(V, after))
         candidate = scaled(history[-1], 1 + epsilon, c)
         if not history[-1].is_subset(X):
@@ -146,7 +148,10 @@ def _steps_into(
     for j in range(max_steps + 1):
         if R.is_subset(target):
             return j
-        after = np.minimum(support(loop, R, V, engine=engine).bound, R.bound(V))
+        found = support(loop, R, V, engine=engine)
+        after = np.minimum(found.bound, R.bound(V))
+        if found.rests_on == SOLVER and not compare(loop, R, V, after, engine, tol).holds.all():
+            return None
         if j and ((R.h - after) * weights <= CLEAR).all():
             return None
         R = Polytope(V, after)

@@ -175,7 +175,7 @@ def outer_step(loop: ClosedLoop, F: Polytope, C: ArrayLike, engine: Engine | str
     Raises
     ------
     ValueError
-        As `support`, and if F does not meet X.
+        As `support`, and if F does not meet X or the engine has no bound along a row.
 
     See Also
     --------
@@ -191,10 +191,19 @@ def outer_step(loop: ClosedLoop, F: Polytope, C: ArrayLike, engine: Engine | str
     C = real_array(C, "C", 2)
     require_kind(loop, ClosedLoop, "loop")
     require_columns(C, loop.system.state_size, "C", "the state's size")
+    engine = engine_for(loop, engine)
     bound = support(loop, F, C, engine=engine).bound
-    if not np.isfinite(bound).all():
-        raise ValueError("F does not meet the state set, so no state of it has a successor")
+    require_bounds(bound, engine)
     return Polytope(C, bound)
+
+
+def require_bounds(bound: Array, engine: Engine) -> None:
+    """Raise ValueError unless bounds (k,) of a reachable set are those of a bounded set that is not empty."""
+    missing = np.flatnonzero(~(bound < np.inf))
+    if len(missing):
+        raise ValueError(f"the engine {engine.name} has no bound along row {missing[0] + 1}; use another engine")
+    if (bound == -np.inf).any():
+        raise ValueError("F does not meet the state set, so no state of it has a successor")
 
 
 def outer_reach(

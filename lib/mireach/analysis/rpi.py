@@ -15,7 +15,7 @@ from ..systems.loop import ClosedLoop
 from ..tolerances import CLEAR
 from ..typing import Array, Rational
 from .arguments import tolerance
-from .comparison import Comparison, compare
+from .comparison import Comparison, believed, compare
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class RPICheck(Result):
     reason : str
     settled : str
         What the verdict rests on: "exact arithmetic", "rounding counted" (bounds that include all rounding errors), or
-        a tolerance.
+        a tolerance; then "a solver's word" says that a solver is trusted.
     """
 
     verdict: Verdict
@@ -105,7 +105,8 @@ def check_rpi(
     escape = None if found.holds.all() else found.first_escape()
     if escape is None and not found.holds.all():
         found = compare(loop, F, F.H, F.h, engine, tol, thorough=True, cutoff=F.h)
-    margin = F.h - found.bound
+    shown = found.holds | (found.bound > F.h)  # a solver's word alone shows no margin
+    margin = np.where(shown, F.h - found.bound, -np.inf)
     if found.holds.all():
         within = "" if (margin >= 0).all() else f" to within {-margin.min():.1g}"
         return RPICheck(Verdict.PROVEN, margin, None, f"R1(F) lies in F{within}; {found.settled}", found.settled)
@@ -115,8 +116,10 @@ def check_rpi(
         reason = f"facet {row + 1} is passed by {nearest(excess):.3g}: {witness}{decimal_hint(loop, F.H[row], excess)}"
         return RPICheck(Verdict.REFUTED, margin, witness, reason, EXACT)
     worst = found.worst
-    gap = f"bound - h = {-margin[worst]:.3g}, attained - h = {found.found.value[worst] - F.h[worst]:.3g}"
-    return RPICheck(Verdict.UNKNOWN, margin, None, f"facet {worst + 1} is not settled: {gap}{found.stopped}")
+    over, attained = found.bound[worst] - F.h[worst], found.found.value[worst] - F.h[worst]
+    gap = f"bound - h = {over:.3g}, attained - h = {attained:.3g}"
+    word = f"; {believed(engine)}" if found.is_believed_only else ""
+    return RPICheck(Verdict.UNKNOWN, margin, None, f"facet {worst + 1} is not settled: {gap}{word}{found.stopped}")
 
 
 # -- parts --------------------------------------------------------------------------------------------

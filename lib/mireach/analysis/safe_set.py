@@ -9,13 +9,12 @@ from ..arithmetic.rational import nearest
 from ..checks import require_kind, whole_number
 from ..engines.base import EXACT, SOLVER, Engine, Support, Witness
 from ..engines.registry import engine_for
-from ..engines.units import own_units
 from ..results import Result, Verdict
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
-from ..typing import ArrayLike
+from ..typing import Array, ArrayLike
 from .arguments import template, tolerance, with_rows
-from .comparison import compare
+from .comparison import Comparison, believed, compare, is_attained
 from .reach import cut_support
 from .rpi import decimal_hint, exact_excess
 
@@ -120,54 +119,98 @@ def safe_set(
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
     V = with_rows(template(loop, C), loop.system.state_set.H)
     engine, tol, X = engine_for(loop, engine), tolerance(tol), loop.system.state_set
-    limit, weights = X.offsets(V), own_units(loop).rows(V)[1]
+    limit = X.offsets(V)
     h, history = X.bound(V), [X]
     image: Support | None = None
     if cut_first and not engine.cuts(loop):
         raise ValueError(f'the engine "{engine.name}" cannot cut first; use engine="cells", for two states')
-    believed = cut_first  # whether R_1(F_k) in F_k is settled for itself: a bound may be a solver's, or one within X
+    trusted = True  # whether no set of the sequence rests on a solver's word
     with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
         for k in range(max_iterations + 1):
             found = compare(loop, history[-1], V, limit, engine, tol, warm_start=image)
             if found.stopped:
-                return SafeSet(None, k, history, Verdict.UNKNOWN, found.stopped.removeprefix("; "), None)
+                return _unknown(history, found.stopped.removeprefix("; "))
+            if found.is_believed_only:
+                return _unknown(history, f"R1(F{k}) lies in X by bounds that prove nothing: {believed(engine)}")
             if found.holds.all():
-                if believed:  # F_k may be smaller than the image of F_(k-1), so whether it is RPI is decided separately
-                    found = compare(loop, history[-1], V, history[-1].offsets(V), engine, tol)
-                if not found.holds.all():
-                    rests = found.found.rests_on
-                    reason = f"R1(F{k}) lies in X, but not in F{k}: a bound of {engine.name} was wrong ({rests})"
-                    return SafeSet(None, k, history, Verdict.UNKNOWN, reason, None)
-                reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
-                return SafeSet(history[-1], k, history, Verdict.PROVEN, reason, None, found.settled)
+                return _safe(found, history, V, engine, tol, cut_first or not trusted)
             image, smaller = found.found, np.minimum(found.bound, h)
             if cut_first:
                 smaller = np.minimum(cut_support(loop, history[-1], V, engine), h)
-            believed |= image.rests_on == SOLVER
+            trusted &= image.rests_on != SOLVER
             following = None if (smaller == -np.inf).any() else Polytope(V, smaller)
             empty = following is None or following.is_empty
-            rests = (smaller >= h - (image.resolution if tol is None else tol)).all()
-            if following is None or rests or empty or k == max_iterations:
+            stagnant = (smaller >= h - (image.resolution if tol is None else tol)).all()
+            if following is None or empty or stagnant or k == max_iterations:
                 break
             h, history = smaller, [*history, following]
             bar.update()
-    escape, worst = found.first_escape(), found.worst
-    excess, witness = (found.bound - limit)[worst], found.found.witness[worst]
+    leaves, witness, escapes = _leaves(found, k, engine)
+    if stagnant:
+        ends, rest = _stagnation(found, h, smaller, k)
+        refuted, reason = ends and escapes, f"{rest}, yet {leaves}"
+    elif empty:
+        refuted, reason = trusted, f"F{k + 1} is empty{'' if trusted else f' by {SOLVER}'}: {leaves}"
+    else:
+        refuted, reason = False, f"max_iterations = {max_iterations} came first; {leaves}"
+    verdict, settled = (Verdict.REFUTED, EXACT) if refuted else (Verdict.UNKNOWN, "")
+    return SafeSet(None, k, history, verdict, reason, witness, settled)
+
+
+def _unknown(history: list[Polytope], reason: str) -> SafeSet:
+    """A SafeSet without a set, with the reason why the question is open."""
+    return SafeSet(None, len(history) - 1, history, Verdict.UNKNOWN, reason, None)
+
+
+def _safe(
+    found: Comparison, history: list[Polytope], V: Array, engine: Engine, tol: float | None, again: bool
+) -> SafeSet:
+    """The SafeSet of the last set of a sequence, whose image lies in X by `found`.
+
+    `again` says that this set may be smaller than the image of the set before, as its bounds are a solver's or of a
+    part in X: whether it is RPI is then decided separately.
+    """
+    k, F = len(history) - 1, history[-1]
+    if again:
+        found = compare(found.loop, F, V, F.offsets(V), engine, tol)
+    if found.is_believed_only:
+        return _unknown(history, f"R1(F{k}) lies in F{k} by bounds that prove nothing: {believed(engine)}")
+    if not found.holds.all():
+        rests = found.found.rests_on
+        reason = f"R1(F{k}) lies in X, but not in F{k}: a bound of {engine.name} was wrong ({rests})"
+        return _unknown(history, reason)
+    reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
+    return SafeSet(F, k, history, Verdict.PROVEN, reason, None, found.settled)
+
+
+def _leaves(found: Comparison, k: int, engine: Engine) -> tuple[str, Witness | None, bool]:
+    """How R_1(F_k) leaves X, in words; the trajectory that shows it; and whether it does so in exact arithmetic."""
+    escape, V, limit = found.first_escape(), found.V, found.limit
     if escape is not None:
         worst, witness = escape
         passed = exact_excess(witness, V[worst], limit[worst])
-        excess, hint = nearest(passed), decimal_hint(loop, V[worst], passed)
-    leaves = f"R1(F{k}) leaves X by {excess:.3g}: {witness}{hint if escape is not None else ''}"
-    if rests:
-        still = (smaller >= h).all()
-        verdict = Verdict.REFUTED if escape is not None and still else Verdict.UNKNOWN
-        within = "" if still else f" to within {((h - smaller) * weights).max():.1g} of the size of X"
-        reason = f"F{k + 1} = F{k}{within}, yet {leaves}"
-    elif empty:
-        verdict, reason = Verdict.REFUTED, f"F{k + 1} is empty: {leaves}"
-    else:
-        verdict, reason = Verdict.UNKNOWN, f"max_iterations = {max_iterations} came first; {leaves}"
-    return SafeSet(None, k, history, verdict, reason, witness, EXACT if verdict == Verdict.REFUTED else "")
+        hint = decimal_hint(found.loop, V[worst], passed)
+        return f"R1(F{k}) leaves X by {nearest(passed):.3g}: {witness}{hint}", witness, True
+    worst = found.worst
+    if found.bound[worst] == np.inf:
+        return f"the engine {engine.name} has no bound of R1(F{k}) along row {worst + 1} of the template", None, False
+    seen = found.found.witness[worst]
+    return f"R1(F{k}) leaves X by {(found.bound - limit)[worst]:.3g}: {seen}", seen, False
+
+
+def _stagnation(found: Comparison, h: Array, smaller: Array, k: int) -> tuple[bool, str]:
+    """Whether F_(k+1) = F_k shows that no later set of eq. (21), Fk, is smaller; and the equality in words.
+
+    `h` and `smaller` are the offsets of F_k and of F_(k+1). If the image attains the offsets of F_k in all directions,
+    F_k lies in R_1-bar(F_k) & X. By monotonicity it then lies in all sets of the sequence, even if bounds of earlier
+    sets were loose or wrong, and a step that leads from F_k out of X refutes all of them.
+    """
+    if not (smaller >= h).all():
+        apart = ((h - smaller) * found.weights).max()
+        return False, f"F{k + 1} = F{k} to within {apart:.1g} of the size of X"
+    if not is_attained(found.loop, found.found, found.V, h):
+        return False, f"F{k + 1} = F{k} by bounds that may be loose, as no values attain them"
+    return True, f"F{k + 1} = F{k}"
 
 
 def set_to_start_from(safe: SafeSet | Polytope) -> Polytope:

@@ -16,7 +16,7 @@ from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike
 from .arguments import Centre, centre_point, template, tolerance, with_rows
-from .comparison import weaker
+from .comparison import is_attained, weaker
 from .contraction import growth, rounding, scaled
 from .reach import support
 from .rpi import require_rpi
@@ -161,6 +161,7 @@ def terminal_set(
             smaller = np.minimum(after, h)
             R = Polytope(V, smaller)
             stagnant, same = (smaller >= h - still).all(), (smaller >= h).all()
+            constant = same and is_attained(loop, image, V, h)
             reach = R.bound(V)
             alphas.append(growth(V, reach, h, c))
             settled = weaker(settled, image.rests_on)
@@ -175,7 +176,7 @@ def terminal_set(
     elif stagnant:
         rest = f"R{k} = R{k - 1}{'' if same else ' to within what the engine resolves'}"
         reason = f"stagnation: {rest}, but eq. TerminationFmin about {c.tolist()} fails"
-        reason += ", and always will" if same else ""
+        reason += ", and always will" if constant else ""
         if isinstance(centre, str) and centre == "origin":
             reason += '; try centre="equilibrium"'
     else:

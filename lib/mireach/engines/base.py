@@ -1,7 +1,6 @@
 """The interface of an engine, and the types of its results.
 
-`Engine` says how to write an engine of your own. `checked_query`, `empty_support`, `replay` and `LazySequence` are
-helpers for that.
+`Engine` says how to write an engine of your own, and names the parts that it is built from.
 """
 
 from abc import ABC, abstractmethod
@@ -105,8 +104,8 @@ class Support(Result):
     rests_on : str
         What `bound` rests on: `EXACT`, `COUNTED` or `SOLVER`.
     resolution : array (k,) or float
-        Bounds may lie above the true values by this much. A bound that exceeds a limit by less is a tie, not yet
-        a violation (units of v x).
+        `Engine.resolution` in units of v x, which `mireach.support` sets: a bound that exceeds a limit by less is a
+        tie, not yet a violation.
     engine : str
         The name of the engine. `mireach.support` sets it.
     source : Support or None
@@ -141,8 +140,10 @@ class Engine(ABC):
     name : str
         The name of the engine in messages and reports.
     resolution : float
-        `bound` may lie above the true value by this much, relative to the size of X. A bound that exceeds a limit by
-        less is a tie. 0 for engines whose error is of the order of rounding.
+        A tolerance that verdicts allow, relative to the size of X, at most 1e-5. A bound that exceeds a limit by less
+        is a tie, and "proven" then says "to within" this tolerance where exact arithmetic cannot decide. It is the
+        tolerance of a solver, and not how loose the bounds are: an engine with loose bounds keeps 0, as does one
+        whose error is of the order of rounding.
     time_limit : float or None
         Seconds for one call of `mireach.support`, the check that Phi lies in U included. Declare it as a field if the
         engine has such a setting: `mireach.support` then passes a copy of the engine with the seconds that are left.
@@ -157,10 +158,12 @@ class Engine(ABC):
 
     The results of the package are proofs for every engine that guarantees two properties:
 
-    - No trajectory from F exceeds `bound`, for any mode on a shared boundary. An engine that has no bound along a row
-      returns inf there. `rests_on` says what the bound rests on: `EXACT` without rounding, `COUNTED` if bounds on all
-      rounding errors are included, `SOLVER` if a solver is trusted. With `SOLVER`, the analyses do not call a property
-      proven without a second check.
+    - No trajectory from F exceeds `bound`, for any mode on a shared boundary and any disturbance. An engine that has no
+      bound along a row returns inf there: a bound is never a guess. `rests_on` says what the bound rests on: `EXACT`
+      without rounding, `COUNTED` if bounds on all rounding errors are included, `SOLVER` if a solver is trusted. With
+      `SOLVER`, exact arithmetic decides wherever the loop has few enough cells. Elsewhere a bound counts only if the
+      engine states the tolerance of its solver as its `resolution`: the verdict then holds to within this tolerance and
+      says that it is a solver's word. Without one, the verdict is "unknown". So an estimate never proves anything.
     - `value` is attained by `witness`, a trajectory from F & X whose states before the last lie in X.
 
     An engine may be called from several threads and must not change its arguments. Keep random numbers reproducible:
@@ -170,43 +173,40 @@ class Engine(ABC):
     --------
     checked_query : the arguments as arrays, for engines that are also called directly.
     empty_support : the answer where F & X is empty.
+    bounds.proven_support : bounds of a polytope, such as a disturbance set.
+    boxes.bound_loop : bounds of k steps over boxes of states, from intervals; `boxes.root_box` is a box around F.
+    attained.attained : a value and its witness in rational arithmetic, from trajectories in floats.
     replay : a Witness from a state, modes and disturbances.
     LazySequence : witnesses that are computed when they are read.
 
     Examples
     --------
-    An engine that samples states. Samples attain values but bound nothing, so that `bound` is inf.
+    A complete engine. Its bounds count their rounding errors, so that what they prove is proven. They are loose, since
+    they are those of a box around F & X. It attains no values, so that exact arithmetic alone refutes.
 
     >>> from dataclasses import dataclass
     >>> import numpy as np
     >>> import mireach as mr
+    >>> from mireach.engines.boxes import bound_loop, root_box
+    >>> from mireach.engines.bounds import proven_support
     >>> @dataclass(frozen=True)
-    ... class Sampling(Engine):
-    ...     name = "sampling"
-    ...     samples: int = 100
+    ... class Intervals(Engine):
+    ...     name = "intervals"
     ...
     ...     def support(self, loop, F, V, steps=1, *, cutoff=None, warm_start=None):
     ...         V, steps = checked_query(loop, F, V, steps)
-    ...         if steps != 1:
-    ...             raise ValueError(f"the sampling engine takes one step; got steps = {steps}")
     ...         start = F & loop.system.state_set
     ...         if start.is_empty:
     ...             return empty_support(len(V))
-    ...         x = start.sample(np.random.default_rng(0), self.samples)
-    ...         modes = (loop.system.violation(x, loop.network(x)) <= 0).argmax(axis=1)
-    ...         corners = [mode.disturbance.vertices() for mode in loop.system.modes]
-    ...         witness = []
-    ...         for v in V:
-    ...             d = [max(points, key=lambda point: v @ point) for points in corners]
-    ...             paths = [replay(loop, state, [mode], [d[mode]]) for state, mode in zip(x, modes)]
-    ...             witness.append(max(paths, key=lambda path: v @ path.states[-1]))
-    ...         value = np.array([v @ path.states[-1] for v, path in zip(V, witness)])
-    ...         return Support(value, np.full(len(V), np.inf), witness)
+    ...         spread = np.array([proven_support(mode.disturbance, V) for mode in loop.system.modes])
+    ...         bounds = bound_loop(loop, root_box(loop, start, steps), steps).highest_state(loop, V, spread)
+    ...         return Support(np.full(len(V), -np.inf), bounds[0], (None,) * len(V))
     >>> loop = mr.case_study("pwa").loop
     >>> F, V = mr.Polytope.box([0, 0], [1, 1]), mr.directions(4)
-    >>> sampled, proven = mr.support(loop, F, V, engine=Sampling()), mr.support(loop, F, V)
-    >>> bool((sampled.value <= proven.bound).all()), sampled.bound.tolist()
-    (True, [inf, inf, inf, inf])
+    >>> bool((mr.support(loop, F, V, 2, Intervals()).bound >= mr.support(loop, F, V, 2).bound).all())
+    True
+    >>> print(mr.safe_set(loop, engine=Intervals()))
+    safe set: proven; R1(F1) lies in X, so F1 is RPI; exact arithmetic
     """
 
     name: ClassVar[str]
@@ -271,6 +271,8 @@ class Engine(ABC):
 
     def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
         """Upper bounds of the support function of R_1(F) & X along the rows of V. An engine may lack this method.
+
+        They must be tight up to rounding: `safe_set` reads from them that its sequence has come to rest.
 
         Parameters
         ----------

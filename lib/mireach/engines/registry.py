@@ -3,6 +3,7 @@
 from ..checks import require_kind
 from ..errors import CellLimitError
 from ..systems.loop import ClosedLoop
+from ..tolerances import CVXPY_RESOLUTION
 from . import space
 from .base import Engine
 from .cells import Cells
@@ -32,7 +33,7 @@ def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
     TypeError
         If it is none of these.
     ValueError
-        If there is no engine of that name; the message lists them.
+        If there is no engine of that name (the message lists them), or its resolution is no tolerance.
 
     Examples
     --------
@@ -49,6 +50,11 @@ def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
             raise ValueError(f"engine must be one of {', '.join(ENGINES)} or an Engine; got {engine!r}")
         return ENGINES[engine]()
     require_kind(engine, Engine, "engine")
+    if not 0 <= engine.resolution <= CVXPY_RESOLUTION:
+        raise ValueError(
+            f"the resolution of the engine {engine.name} must lie between 0 and {CVXPY_RESOLUTION:g}; "
+            f"got {engine.resolution!r}; an engine with loose bounds keeps 0"
+        )
     return engine
 
 

@@ -42,8 +42,8 @@ from ...typing import Array, ArrayLike, BoolArray, IntArray
 from ..attained import Attained, Path, attained
 from ..base import COUNTED, SOLVER, Engine, Support, Witness, checked_query, empty_support, replay
 from ..bounds import METHODS, SAFETY, proven_support, support_vectors
-from .boxes import Boxes, LoopBounds, StepBounds, bound_loop
-from .formulation import Model, build, build_inputs, root_box
+from ..boxes import Boxes, LoopBounds, StepBounds, bound_loop, root_box
+from .formulation import Model, build, build_inputs
 
 FORMULATIONS = ("split", "whole", "paper")
 KEPT = 6  # best trajectories per direction: rational arithmetic may reject some of them

@@ -22,8 +22,8 @@ from ...systems.network import MaxoutNetwork
 from ...systems.pwa import Mode, PWASystem
 from ...tolerances import ROUNDOFF
 from ...typing import Array, BoolArray, IntArray
-from ..bounds import METHODS, SAFETY, lower_bound, proven_box, upper_bound
-from .boxes import Boxes, LayerBounds, StepBounds, Values, bound_loop
+from ..bounds import METHODS, SAFETY, lower_bound, upper_bound
+from ..boxes import Boxes, LayerBounds, StepBounds, Values, bound_loop, disturbance_box, root_box, widened
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,16 +243,6 @@ def build_inputs(
     return Model(lp, [x, u], [], [], [u])
 
 
-def root_box(loop: ClosedLoop, start: Polytope, steps: int) -> Boxes:
-    """The box of (x(0), d(0), ..., d(k - 2)) around start x D x ... x D, as Boxes."""
-    x_low, x_high = proven_box(start)
-    d_low, d_high = disturbance_box(loop.system.modes)
-    low, high = widened(
-        np.concatenate([x_low, np.tile(d_low, steps - 1)]), np.concatenate([x_high, np.tile(d_high, steps - 1)])
-    )
-    return Boxes(low[None], high[None])
-
-
 def add_network(
     lp: LinearProgram, network: MaxoutNetwork, x: IntArray, bounds: str = "lp", step: StepBounds | None = None
 ) -> IntArray:
@@ -334,17 +324,6 @@ def add_system(
         )
         _add_sum(lp, after, parts)
     return after, gamma, d
-
-
-def disturbance_box(modes: Sequence[Mode]) -> tuple[Array, Array]:
-    """The smallest box around all disturbance sets: two arrays (n,)."""
-    lower, upper = zip(*(proven_box(D) for D in {mode.disturbance for mode in modes}))
-    return np.min(lower, axis=0), np.max(upper, axis=0)
-
-
-def widened(low: Array, high: Array) -> tuple[Array, Array]:
-    """Bounds moved apart by far more than HiGHS's tolerances; rows of the program have the exact limits."""
-    return low - SAFETY * (1 + np.abs(low)), high + SAFETY * (1 + np.abs(high))
 
 
 # -- parts --------------------------------------------------------------------------------------------

@@ -15,13 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from ...sets.polytope import Polytope
-from ...systems.loop import ClosedLoop
-from ...systems.network import Layer
-from ...systems.pwa import PWASystem
-from ...tolerances import MODE_BOUNDARY, ROUNDOFF
-from ...typing import Array, BoolArray, IntArray
-from ..bounds import proven_box
+from ..sets.polytope import Polytope
+from ..systems.loop import ClosedLoop
+from ..systems.network import Layer
+from ..systems.pwa import Mode, PWASystem
+from ..tolerances import MODE_BOUNDARY, ROUNDOFF
+from ..typing import Array, BoolArray, IntArray
+from .bounds import SAFETY, proven_box
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,6 +274,40 @@ def bound_loop(loop: ClosedLoop, boxes: Boxes, steps: int = 1) -> LoopBounds:
         if j + 1 < steps:
             state = _next_state(system, boxes, state.join(inputs), met, range(n * (j + 1), n * (j + 2)))
     return LoopBounds(boxes, found, possible, doubt)
+
+
+def root_box(loop: ClosedLoop, start: Polytope, steps: int) -> Boxes:
+    """The box of w = (x(0), d(0), ..., d(k - 2)) around start x D x ... x D, widened by `widened`, as Boxes.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    start : Polytope
+        The part of F in X, which must not be empty.
+    steps : int
+        The k of R_k.
+    """
+    x_low, x_high = proven_box(start)
+    d_low, d_high = disturbance_box(loop.system.modes)
+    low, high = widened(
+        np.concatenate([x_low, np.tile(d_low, steps - 1)]), np.concatenate([x_high, np.tile(d_high, steps - 1)])
+    )
+    return Boxes(low[None], high[None])
+
+
+def disturbance_box(modes: Sequence[Mode]) -> tuple[Array, Array]:
+    """The smallest box around all disturbance sets: two arrays (n,)."""
+    lower, upper = zip(*(proven_box(D) for D in {mode.disturbance for mode in modes}))
+    return np.min(lower, axis=0), np.max(upper, axis=0)
+
+
+def widened(low: Array, high: Array) -> tuple[Array, Array]:
+    """Bounds moved apart by `SAFETY` (1e-6) times 1 + their size, far more than HiGHS's tolerances.
+
+    Programs with these limits of variables have rows with the exact ones. Bounds over such a box alone are valid, and
+    looser by about as much.
+    """
+    return low - SAFETY * (1 + np.abs(low)), high + SAFETY * (1 + np.abs(high))
 
 
 def highest(boxes: Boxes, weight: Array, bias: Array, values: Values) -> Array:
