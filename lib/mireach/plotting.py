@@ -31,8 +31,10 @@ try:
     from matplotlib import rc_context
     from matplotlib.axes import Axes
     from matplotlib.cm import cividis
+    from matplotlib.colors import to_rgba
+    from matplotlib.container import BarContainer
     from matplotlib.figure import Figure
-    from matplotlib.patches import PathPatch, Polygon
+    from matplotlib.patches import Patch, PathPatch, Polygon
     from matplotlib.path import Path
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
@@ -53,8 +55,9 @@ TERMINAL: Style = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5
 EARLIER: Style = {"facecolor": "none", "edgecolor": GREEN, "linewidth": 0.7, "linestyle": (0, (5, 3))}
 SEQUENCE: Style = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
 MAXIMAL: Style = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
-HIDDEN: Style = {"linestyle": (0, (1, 2)), "linewidth": 0.5}  # edges of a solid behind its faces
-VIEW: Style = {"elev": 22, "azim": -55}  # degrees; no axis points at the reader
+HIDDEN: Style = {"linestyle": (0, (1, 2)), "linewidth": 0.8}  # edges of a solid behind its faces
+VIEW: Style = {"elev": 20, "azim": -66}  # degrees; the three faces of a box that are seen differ in size
+ZOOM = 0.8  # of axes of R^3, which leaves room for their labels
 SHOWN = 6  # sets of a history in one picture: as many outlines as can be told apart
 LONGEST = 4  # ratio of the sides of a box up to which three axes get equal scales
 ARROWS = 34  # grid points per axis of a vector field
@@ -136,10 +139,11 @@ def draw_trajectories(ax: Axes, trajectories: Array, **style: Any) -> None:
         ax.plot(*path.T, label=label if i == 0 else None, **style)
 
 
-def label_axes(ax: Axes, P: Polytope, title: str | None = None) -> None:
+def label_axes(ax: Any, P: Polytope, title: str | None = None) -> None:
     """Axis labels with the paper's symbols, equal scales, and limits that show the Polytope P with a small margin.
 
-    Axes of R^3 get equal scales unless P is more than LONGEST times as long as it is wide, and the view VIEW.
+    Axes of R^3 get equal scales unless the longest side of the bounding box is more than LONGEST times the shortest.
+    They are seen from VIEW, and have no grid, whose lines could be taken for edges.
     """
     lower, upper = P.bounding_box()
     margin = 0.04 * (upper - lower)
@@ -148,10 +152,13 @@ def label_axes(ax: Axes, P: Polytope, title: str | None = None) -> None:
         ax.set(**{f"{axis}lim": limits[i], f"{axis}label": f"$x_{i + 1}$"})
     if P.dimension == 3:
         size = np.ptp(limits, axis=1)
-        ax.set(box_aspect=size if size.max() <= LONGEST * size.min() else None, proj_type="ortho")
+        ax.set_box_aspect(size if size.max() <= LONGEST * size.min() else None, zoom=ZOOM)
+        ax.set_proj_type("ortho")
         ax.view_init(**VIEW)
+        ax.grid(False)
+        ax.tick_params(labelsize="small")
         for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-            axis.set_major_locator(MaxNLocator(5))
+            axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     else:
         ax.set_aspect("equal")
     if title:
@@ -439,7 +446,8 @@ def draw_history(
     history : list of Polytope
         Each about as large as the next, or larger.
     chosen : sequence of int or None
-        The steps shown, each with a label; None spreads SHOWN of them evenly from the first to the last.
+        The steps shown, each with a label; None takes up to SHOWN from the first to the last, more of the early
+        ones, since sets that converge differ most there.
     name : str
         Of the sets, in mathtext.
 
@@ -454,11 +462,8 @@ def draw_history(
     >>> ax.get_legend_handles_labels()[1]
     ['$\\mathcal{F}_{0}$', '$\\mathcal{F}_{1}$', '$\\mathcal{F}_{2}$']
     """
-    chosen = [*(_spread(history, SHOWN) if chosen is None else chosen)]
-    for i, k in enumerate(chosen[:-1]):
-        shade = cividis(0.75 * (1 - i / max(len(chosen) - 1, 1)))
-        draw_set(ax, history[k], facecolor="none", edgecolor=shade, linewidth=1.1, label=rf"${name}_{{{k}}}$")
-    draw_set(ax, history[chosen[-1]], **TERMINAL, label=rf"${name}_{{{chosen[-1]}}}$")
+    chosen = _spread(history, SHOWN, 2) if chosen is None else chosen
+    _draw_nested(ax, {k: history[k] for k in chosen}, name)
     label_axes(ax, history[chosen[0]])
 
 
@@ -506,15 +511,22 @@ def plot_planes(
     of the set; one inside of all projections may still lie outside. A section holds only states with the other
     coordinates of `at`; trajectories are not confined to it.
     """
-    axes = np.ravel(axes)
-    chosen = [*(_spread(history, SHOWN) if chosen is None else chosen)]
-    pairs = [*(combinations(range(history[0].dimension), 2) if pairs is None else pairs)]
+    axes, n = np.ravel(axes), history[0].dimension
+    chosen = _spread(history, SHOWN, 2) if chosen is None else chosen
+    pairs = [*(combinations(range(n), 2) if pairs is None else pairs)]
     for ax, pair in zip(axes, pairs):
-        flat = {k: history[k].project(pair) if at is None else history[k].section(pair, at) for k in chosen}
-        draw_history(ax, flat, chosen, name)
+        _draw_nested(
+            ax, {k: history[k].project(pair) if at is None else history[k].section(pair, at) for k in chosen}, name
+        )
         if paths is not None:
-            draw_trajectories(ax, paths[..., pair], color=RED, linewidth=1.0, marker=".", markersize=3)
+            draw_trajectories(
+                ax, paths[..., pair], color=RED, linewidth=1, marker=".", markersize=3, label="trajectory"
+            )
+        label_axes(ax, history[chosen[0]].project(pair))
         ax.set(xlabel=f"$x_{pair[0] + 1}$", ylabel=f"$x_{pair[1] + 1}$", aspect="auto", box_aspect=1)
+        if at is not None:
+            fixed = [f"$x_{j + 1} = {value:.4g}$" for j, value in enumerate(np.broadcast_to(at, n)) if j not in pair]
+            ax.set_title(", ".join(fixed), fontsize="small")
     for ax in axes[len(pairs) :]:
         ax.set_axis_off()
 
@@ -565,28 +577,38 @@ def _set_of(result: Any) -> Any:
     return result.set
 
 
-def _spread(history: Sequence[Any], most: int) -> list[int]:
-    """At most `most` steps of a history, spread evenly from the first to the last."""
-    spread = np.linspace(0, len(history) - 1, min(most, len(history)))
+def _spread(history: Sequence[Any], most: int, power: int = 1) -> list[int]:
+    """At most `most` steps of a history from the first to the last, the gaps growing with the power."""
+    spread = np.linspace(0, 1, min(most, len(history))) ** power * (len(history) - 1)
     return [int(k) for k in np.unique(spread.round())]
+
+
+def _draw_nested(ax: Axes, sets: Mapping[int, Polytope], name: str) -> None:
+    """Draw sets by their step: the last one filled, the others as outlines, darker is later."""
+    shades = np.linspace(0.75, 0.1, len(sets))
+    for (k, P), shade in zip(sets.items(), shades):
+        if not P.is_empty:
+            outline = {"facecolor": "none", "edgecolor": cividis(shade), "linewidth": 1.1}
+            draw_set(ax, P, **(TERMINAL if k == [*sets][-1] else outline), label=rf"${name}_{{{k}}}$")
 
 
 def _draw_solid(ax: Any, corners: Array, faces: list[Ring], style: Style) -> Any:
     """Draw a Polytope of R^3 that has faces: these and its edges."""
-    style = {"edgecolor": BLACK, "facecolor": "none", **style}
+    own = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 1.0, "linestyle": "-", **style}
+    zorder = {"zorder": own["zorder"]} if "zorder" in own else {}
+    *colour, alpha = to_rgba(own["facecolor"])
+    one = (*colour, 1 - np.sqrt(1 - alpha))  # the reader looks through two faces, which together are as opaque
+    solid = Poly3DCollection([corners[[*ring]] for ring in faces], facecolor=one, edgecolor="none", **zorder)
     ax.computed_zorder = False  # the order of the artists; that of their depths has no meaning for nested sets
-    label, filled = style.get("label"), style["facecolor"] != "none"
-    solid = Poly3DCollection([corners[[*ring]] for ring in faces], facecolor=style["facecolor"], edgecolor="none")
-    lines = Edges(corners, faces, style["edgecolor"], style.get("linewidth", 1.0), style.get("linestyle", "-"))
-    (solid if filled else lines).set_label(label)
-    for artist in (solid, lines):
-        if "zorder" in style:
-            artist.set_zorder(style["zorder"])
-        ax.add_collection3d(artist)
+    ax.add_collection3d(solid)
+    ax.add_collection3d(Edges(corners, faces, own["edgecolor"], own["linewidth"], own["linestyle"], **zorder))
+    if "label" in own:  # as in the plane; two artists make the set, and neither alone shows in a legend what it is
+        look = {key: own[key] for key in ("facecolor", "edgecolor", "linewidth", "linestyle")}
+        ax.add_container(BarContainer([Patch(**look)], label=own["label"]))
     return solid
 
 
-class Edges(Line3DCollection):
+class Edges(Line3DCollection):  # type: ignore[misc]  # mpl_toolkits has no types
     """The edges of a Polytope of R^3; those with all their faces turned away from the reader are dotted, in any view.
 
     Parameters
@@ -596,12 +618,14 @@ class Edges(Line3DCollection):
         Both from `faces.rings`.
     colour, width, line
         Of an edge that is not hidden.
+    **style
+        Of matplotlib.collections.LineCollection.
     """
 
-    def __init__(self, corners: Array, faces: list[Ring], colour: Any, width: float, line: Any) -> None:
+    def __init__(self, corners: Array, faces: list[Ring], colour: Any, width: float, line: Any, **style: Any) -> None:
         self.corners, self.faces, self.pairs = corners, faces, edges(faces)
         self.width, self.line = width, line
-        super().__init__([corners[[*pair]] for pair in self.pairs], colors=[colour])
+        super().__init__([corners[[*pair]] for pair in self.pairs], colors=[colour], **style)
 
     def do_3d_projection(self) -> float:
         """Project to the plane of the picture."""
