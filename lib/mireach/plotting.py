@@ -34,7 +34,7 @@ try:
     from matplotlib.colors import to_rgba
     from matplotlib.container import BarContainer
     from matplotlib.figure import Figure
-    from matplotlib.patches import Patch, PathPatch, Polygon
+    from matplotlib.patches import PathPatch, Polygon, Rectangle
     from matplotlib.path import Path
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
@@ -81,6 +81,15 @@ def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
     -------
     matplotlib artist
 
+    Raises
+    ------
+    ValueError
+        If P is unbounded, or lies in another space than the axes.
+
+    See Also
+    --------
+    plot_planes : sets of more dimensions.
+
     Examples
     --------
     >>> figure, ax = new_figure((3, 3))
@@ -88,6 +97,8 @@ def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
     >>> len(ax.patches)
     1
     """
+    if P.dimension != (3 if ax.name == "3d" else 2):
+        raise ValueError(f"these axes do not show sets of R^{P.dimension}; see new_figure(dimension=3) and plot_planes")
     if P.dimension == 3:
         corners, faces = rings(P)
         if faces:
@@ -146,12 +157,13 @@ def label_axes(ax: Any, P: Polytope, title: str | None = None) -> None:
     They are seen from VIEW, and have no grid, whose lines could be taken for edges.
     """
     lower, upper = P.bounding_box()
-    margin = 0.04 * (upper - lower)
+    size = upper - lower
+    margin = 0.04 * np.where(size > 0, size, size.max() or 1)
     limits = np.column_stack([lower - margin, upper + margin])
     for i, axis in enumerate("xyz"[: P.dimension]):
         ax.set(**{f"{axis}lim": limits[i], f"{axis}label": f"$x_{i + 1}$"})
     if P.dimension == 3:
-        size = np.ptp(limits, axis=1)
+        size += 2 * margin
         ax.set_box_aspect(size if size.max() <= LONGEST * size.min() else None, zoom=ZOOM)
         ax.set_proj_type("ortho")
         ax.view_init(**VIEW)
@@ -520,7 +532,7 @@ def plot_planes(
         )
         if paths is not None:
             draw_trajectories(
-                ax, paths[..., pair], color=RED, linewidth=1, marker=".", markersize=3, label="trajectory"
+                ax, paths[..., pair], color=BLACK, linewidth=1, marker=".", markersize=4, label="trajectory"
             )
         label_axes(ax, history[chosen[0]].project(pair))
         ax.set(xlabel=f"$x_{pair[0] + 1}$", ylabel=f"$x_{pair[1] + 1}$", aspect="auto", box_aspect=1)
@@ -580,7 +592,7 @@ def _set_of(result: Any) -> Any:
 def _spread(history: Sequence[Any], most: int, power: int = 1) -> list[int]:
     """At most `most` steps of a history from the first to the last, the gaps growing with the power."""
     spread = np.linspace(0, 1, min(most, len(history))) ** power * (len(history) - 1)
-    return [int(k) for k in np.unique(spread.round())]
+    return [int(k) for k in np.unique(np.maximum(spread.round(), np.arange(len(spread))))]
 
 
 def _draw_nested(ax: Axes, sets: Mapping[int, Polytope], name: str) -> None:
@@ -604,7 +616,7 @@ def _draw_solid(ax: Any, corners: Array, faces: list[Ring], style: Style) -> Any
     ax.add_collection3d(Edges(corners, faces, own["edgecolor"], own["linewidth"], own["linestyle"], **zorder))
     if "label" in own:  # as in the plane; two artists make the set, and neither alone shows in a legend what it is
         look = {key: own[key] for key in ("facecolor", "edgecolor", "linewidth", "linestyle")}
-        ax.add_container(BarContainer([Patch(**look)], label=own["label"]))
+        ax.add_container(BarContainer([Rectangle((0, 0), 1, 1, **look)], label=own["label"]))
     return solid
 
 
