@@ -118,7 +118,7 @@ def test_growth_leaves_out_what_a_time_limit_stopped():
 
 @pytest.mark.parametrize(
     "P, count, hidden",
-    [(cube(), (6, 12), 3), (octahedron(), (8, 12), 3), (FLAT, (1, 4), 0)],
+    [(cube(), (6, 12), 3), (octahedron(), (8, 12), 4), (FLAT, (1, 4), 0)],
     ids=["cube", "octahedron", "flat"],
 )
 def test_solids_are_drawn_with_their_faces_and_edges(solid_ax, P, count, hidden):
