@@ -609,8 +609,11 @@ def _draw_solid(ax: Any, corners: Array, faces: list[Ring], style: Style) -> Any
     own = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 1.0, "linestyle": "-", **style}
     zorder = {"zorder": own["zorder"]} if "zorder" in own else {}
     *colour, alpha = to_rgba(own["facecolor"])
-    one = (*colour, 1 - np.sqrt(1 - alpha))  # the reader looks through two faces, which together are as opaque
-    solid = Poly3DCollection([corners[[*ring]] for ring in faces], facecolor=one, edgecolor="none", **zorder)
+    if len(faces) > 1:  # the reader looks through two faces, which together are as opaque
+        alpha = 1 - np.sqrt(1 - alpha)
+    solid = Poly3DCollection(
+        [corners[[*ring]] for ring in faces], facecolor=(*colour, alpha), edgecolor="none", **zorder
+    )
     ax.computed_zorder = False  # the order of the artists; that of their depths has no meaning for nested sets
     ax.add_collection3d(solid)
     ax.add_collection3d(Edges(corners, faces, own["edgecolor"], own["linewidth"], own["linestyle"], **zorder))
