@@ -25,7 +25,7 @@ from .sets.faces import Ring, edges, rings
 from .sets.polytope import Polytope
 from .sets.region import Region
 from .systems.pwa import PWASystem
-from .typing import Array
+from .typing import Array, ArrayLike
 
 try:
     from matplotlib import rc_context
@@ -456,7 +456,7 @@ def draw_history(
     ax : matplotlib Axes
         For sets of R^3 with projection="3d".
     history : list of Polytope
-        Each about as large as the next, or larger.
+        The axes show what lies around the first of those that are chosen.
     chosen : sequence of int or None
         The steps shown, each with a label; None takes up to SHOWN from the first to the last, more of the early
         ones, since sets that converge differ most there.
@@ -484,7 +484,7 @@ def plot_planes(
     history: Sequence[Polytope],
     pairs: Sequence[tuple[int, int]] | None = None,
     *,
-    at: Any = None,
+    at: ArrayLike | None = None,
     chosen: Sequence[int] | None = None,
     name: str = r"\mathcal{F}",
     paths: Array | None = None,
@@ -527,9 +527,8 @@ def plot_planes(
     chosen = _spread(history, SHOWN, 2) if chosen is None else chosen
     pairs = [*(combinations(range(n), 2) if pairs is None else pairs)]
     for ax, pair in zip(axes, pairs):
-        _draw_nested(
-            ax, {k: history[k].project(pair) if at is None else history[k].section(pair, at) for k in chosen}, name
-        )
+        sets = {k: history[k].project(pair) if at is None else history[k].section(pair, at) for k in chosen}
+        _draw_nested(ax, sets, name)
         if paths is not None:
             draw_trajectories(
                 ax, paths[..., pair], color=BLACK, linewidth=1, marker=".", markersize=4, label="trajectory"
@@ -617,7 +616,7 @@ def _draw_solid(ax: Any, corners: Array, faces: list[Ring], style: Style) -> Any
     ax.computed_zorder = False  # the order of the artists; that of their depths has no meaning for nested sets
     ax.add_collection3d(solid)
     ax.add_collection3d(Edges(corners, faces, own["edgecolor"], own["linewidth"], own["linestyle"], **zorder))
-    if "label" in own:  # as in the plane; two artists make the set, and neither alone shows in a legend what it is
+    if own.get("label"):  # as in the plane; two artists make the set, and neither alone shows in a legend what it is
         look = {key: own[key] for key in ("facecolor", "edgecolor", "linewidth", "linestyle")}
         ax.add_container(BarContainer([Rectangle((0, 0), 1, 1, **look)], label=own["label"]))
     return solid
