@@ -1,4 +1,6 @@
-"""Figures: sets, regions, trajectories and vector fields in the plane, and Figures 1 to 3 of [Teichrib2025].
+"""Figures: sets and trajectories in two and three dimensions, and Figures 1 to 3 of [Teichrib2025].
+
+`plot_planes` shows sets of more dimensions in planes of two coordinates.
 
 Colours are from the Okabe-Ito palette, and every kind of set also differs by line style or hatch, so that
 figures can be read in grey.
@@ -7,7 +9,7 @@ figures can be read in grey.
 import io
 import os
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 from os import PathLike
 from pathlib import PurePath
 from typing import Any
@@ -19,19 +21,24 @@ from .analysis.safe_set import SafeSet
 from .analysis.terminal_set import TerminalSet
 from .errors import MissingExtraError
 from .files import write_whole
+from .sets.faces import Ring, edges, rings
 from .sets.polytope import Polytope
 from .sets.region import Region
 from .systems.pwa import PWASystem
-from .typing import Array
+from .typing import Array, ArrayLike
 
 try:
     from matplotlib import rc_context
     from matplotlib.axes import Axes
     from matplotlib.cm import cividis
+    from matplotlib.colors import to_rgba
+    from matplotlib.container import BarContainer
     from matplotlib.figure import Figure
-    from matplotlib.patches import PathPatch, Polygon
+    from matplotlib.patches import PathPatch, Polygon, Rectangle
     from matplotlib.path import Path
     from matplotlib.ticker import MaxNLocator
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
 except ImportError as missing:
     raise MissingExtraError("a figure", "matplotlib", "plot") from missing
 
@@ -48,24 +55,40 @@ TERMINAL: Style = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5
 EARLIER: Style = {"facecolor": "none", "edgecolor": GREEN, "linewidth": 0.7, "linestyle": (0, (5, 3))}
 SEQUENCE: Style = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
 MAXIMAL: Style = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
+HIDDEN: Style = {"linestyle": (0, (1, 2)), "linewidth": 0.8}  # edges of a solid behind its faces
+VIEW: Style = {"elev": 20, "azim": -66}  # degrees; the three faces of a box that are seen differ in size
+ZOOM = 0.8  # of axes of R^3, which leaves room for their labels
+SHOWN = 6  # sets of a history in one picture: as many outlines as can be told apart
+LONGEST = 4  # ratio of the sides of a box up to which three axes get equal scales
 ARROWS = 34  # grid points per axis of a vector field
 GOLDEN = 0.618034  # multiples of it, less whole numbers, spread evenly: jitter that is the same every time
 
 
 def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
-    """Draw a bounded Polytope of the plane.
+    """Draw a bounded Polytope of the plane or of R^3.
 
     Parameters
     ----------
     ax : matplotlib Axes
+        For a set of R^3 with projection="3d"; its artists are then drawn in the order in which they were added.
     P : Polytope
-        A point is drawn as a dot, a segment as a line.
+        A point is drawn as a dot, a segment as a line, the empty set not at all.
     **style
-        Of matplotlib.patches.Polygon, such as the module's SAFE, TERMINAL and SEQUENCE; label included.
+        Of matplotlib.patches.Polygon, such as the module's SAFE, TERMINAL and SEQUENCE; label included. In R^3
+        there are no hatches, and edges behind the faces are dotted.
 
     Returns
     -------
     matplotlib artist
+
+    Raises
+    ------
+    ValueError
+        If P is unbounded, or lies in another space than the axes.
+
+    See Also
+    --------
+    plot_planes : sets of more dimensions.
 
     Examples
     --------
@@ -74,7 +97,14 @@ def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
     >>> len(ax.patches)
     1
     """
-    corners = P.vertices()
+    if P.dimension != (3 if ax.name == "3d" else 2):
+        raise ValueError(f"these axes do not show sets of R^{P.dimension}; see new_figure(dimension=3) and plot_planes")
+    if P.dimension == 3:
+        corners, faces = rings(P)
+        if faces:
+            return _draw_solid(ax, corners, faces, style)
+    else:
+        corners = P.vertices()
     if len(corners) > 2:
         return ax.add_patch(Polygon(corners, closed=True, **style))
     colour, label = style.get("edgecolor", BLACK), style.get("label")
@@ -114,23 +144,35 @@ def draw_regions(ax: Axes, system: PWASystem) -> None:
 
 
 def draw_trajectories(ax: Axes, trajectories: Array, **style: Any) -> None:
-    """Draw one trajectory (steps + 1, 2) or several (N, steps + 1, 2) as thin lines; a label is given once."""
+    """Draw one trajectory (steps + 1, n) or several (N, steps + 1, n), n = 2 or 3, as lines; a label is given once."""
     label = style.pop("label", None)
     for i, path in enumerate(trajectories if trajectories.ndim == 3 else trajectories[None]):
         ax.plot(*path.T, label=label if i == 0 else None, **style)
 
 
-def label_axes(ax: Axes, P: Polytope, title: str | None = None) -> None:
-    """Axis labels with the paper's symbols, equal scales, and limits that show the Polytope P with a small margin."""
+def label_axes(ax: Any, P: Polytope, title: str | None = None) -> None:
+    """Axis labels with the paper's symbols, equal scales, and limits that show the Polytope P with a small margin.
+
+    Axes of R^3 get equal scales unless the longest side of the bounding box is more than LONGEST times the shortest.
+    They are seen from VIEW, and have no grid, whose lines could be taken for edges.
+    """
     lower, upper = P.bounding_box()
-    margin = 0.04 * (upper - lower)
-    ax.set(
-        xlim=(lower[0] - margin[0], upper[0] + margin[0]),
-        ylim=(lower[1] - margin[1], upper[1] + margin[1]),
-        xlabel="$x_1$",
-        ylabel="$x_2$",
-        aspect="equal",
-    )
+    size = upper - lower
+    margin = 0.04 * np.where(size > 0, size, size.max() or 1)
+    limits = np.column_stack([lower - margin, upper + margin])
+    for i, axis in enumerate("xyz"[: P.dimension]):
+        ax.set(**{f"{axis}lim": limits[i], f"{axis}label": f"$x_{i + 1}$"})
+    if P.dimension == 3:
+        size += 2 * margin
+        ax.set_box_aspect(size if size.max() <= LONGEST * size.min() else None, zoom=ZOOM)
+        ax.set_proj_type("ortho")
+        ax.view_init(**VIEW)
+        ax.grid(False)
+        ax.tick_params(labelsize="small")
+        for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+            axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    else:
+        ax.set_aspect("equal")
     if title:
         ax.set_title(title)
 
@@ -140,10 +182,10 @@ def legend_above(ax: Axes, columns: int) -> None:
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize="small")
 
 
-def new_figure(size: tuple[float, float], dpi: float | None = None) -> tuple[Figure, Axes]:
-    """A figure of `size` inches with one set of Axes, which no window shows: (Figure, Axes)."""
+def new_figure(size: tuple[float, float], dpi: float | None = None, dimension: int = 2) -> tuple[Figure, Any]:
+    """A figure of `size` inches with one set of Axes of the plane or of R^3, which no window shows: (Figure, Axes)."""
     figure = Figure(figsize=size, dpi=dpi, layout="constrained")
-    return figure, figure.add_subplot()
+    return figure, figure.add_subplot(projection="3d" if dimension == 3 else None)
 
 
 def save_svg(figure: Figure, file: Any, **options: Any) -> None:
@@ -389,8 +431,7 @@ def plot_history(
     """
     axes = np.ravel(axes)
     if chosen is None:
-        spread = np.linspace(0, len(history) - 1, min(len(axes), len(history)))
-        chosen = np.unique(spread.round().astype(int)).tolist()
+        chosen = _spread(history, len(axes))
     for ax, k in zip(axes, chosen):
         plot_step(ax, history, int(k), name)
     for ax in axes[len(chosen) :]:
@@ -403,6 +444,102 @@ def plot_step(ax: Axes, history: Sequence[Polytope], k: int, name: str = r"\math
         draw_set(ax, before, **{**SEQUENCE, "edgecolor": GREY})
     draw_set(ax, history[k], **TERMINAL)
     label_axes(ax, history[0], rf"${name}_{{{k}}}$")
+
+
+def draw_history(
+    ax: Axes, history: Sequence[Polytope], chosen: Sequence[int] | None = None, name: str = r"\mathcal{F}"
+) -> None:
+    r"""A sequence of sets of the plane or of R^3 in one picture: outlines, darker is later, the last one filled.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+        For sets of R^3 with projection="3d".
+    history : list of Polytope
+        The axes show what lies around the first of those that are chosen.
+    chosen : sequence of int or None
+        The steps shown, each with a label; None takes up to SHOWN from the first to the last, more of the early
+        ones, since sets that converge differ most there.
+    name : str
+        Of the sets, in mathtext.
+
+    See Also
+    --------
+    plot_history : one panel per set. plot_planes : sets of more dimensions.
+
+    Examples
+    --------
+    >>> figure, ax = new_figure((4, 4), dimension=3)
+    >>> draw_history(ax, [Polytope.box([-r, -r, -r], [r, r, r]) for r in (3, 2, 1)])
+    >>> ax.get_legend_handles_labels()[1]
+    ['$\\mathcal{F}_{0}$', '$\\mathcal{F}_{1}$', '$\\mathcal{F}_{2}$']
+    """
+    chosen = _spread(history, SHOWN, 2) if chosen is None else chosen
+    _draw_nested(ax, {k: history[k] for k in chosen}, name)
+    label_axes(ax, history[chosen[0]])
+
+
+def plot_planes(
+    axes: Any,
+    history: Sequence[Polytope],
+    pairs: Sequence[tuple[int, int]] | None = None,
+    *,
+    at: ArrayLike | None = None,
+    chosen: Sequence[int] | None = None,
+    name: str = r"\mathcal{F}",
+    paths: Array | None = None,
+) -> None:
+    r"""A sequence of sets of R^n in planes of two coordinates, one per panel: projections, or sections through a point.
+
+    Parameters
+    ----------
+    axes : array of matplotlib Axes
+        As many panels as are shown.
+    history : list of Polytope
+    pairs : sequence of (int, int) or None
+        Coordinates of each panel, counted from 0; None takes all pairs i < j, in order.
+    at : array (n,), number, or None
+        None draws projections; otherwise the point through which the sections go. Empty ones are left out.
+    chosen, name
+        As in `draw_history`.
+    paths : array (steps + 1, n) or (N, steps + 1, n), optional
+        Trajectories, projected.
+
+    See Also
+    --------
+    Polytope.project, Polytope.section : the sets that are drawn.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> axes = Figure().subplots(1, 3)
+    >>> plot_planes(axes, [Polytope.box([-r, -r, -r], [r, r, r]) for r in (3, 2, 1)])
+    >>> [(ax.get_xlabel(), ax.get_ylabel()) for ax in axes]
+    [('$x_1$', '$x_2$'), ('$x_1$', '$x_3$'), ('$x_2$', '$x_3$')]
+
+    Notes
+    -----
+    Coordinates may have different units, so each axis has its own scale. A state outside of a projection lies outside
+    of the set; one inside of all projections may still lie outside. A section holds only states with the other
+    coordinates of `at`; trajectories are not confined to it.
+    """
+    axes, n = np.ravel(axes), history[0].dimension
+    chosen = _spread(history, SHOWN, 2) if chosen is None else chosen
+    pairs = [*(combinations(range(n), 2) if pairs is None else pairs)]
+    for ax, pair in zip(axes, pairs):
+        sets = {k: history[k].project(pair) if at is None else history[k].section(pair, at) for k in chosen}
+        _draw_nested(ax, sets, name)
+        if paths is not None:
+            draw_trajectories(
+                ax, paths[..., pair], color=BLACK, linewidth=1, marker=".", markersize=4, label="trajectory"
+            )
+        label_axes(ax, history[chosen[0]].project(pair))
+        ax.set(xlabel=f"$x_{pair[0] + 1}$", ylabel=f"$x_{pair[1] + 1}$", aspect="auto", box_aspect=1)
+        if at is not None:
+            fixed = [f"$x_{j + 1} = {value:.4g}$" for j, value in enumerate(np.broadcast_to(at, n)) if j not in pair]
+            ax.set_title(", ".join(fixed), fontsize="small")
+    for ax in axes[len(pairs) :]:
+        ax.set_axis_off()
 
 
 def plot_look(ax: Axes, look: Any, title: str | None = None, maximal: Region | None = None) -> None:
@@ -449,3 +586,77 @@ def _set_of(result: Any) -> Any:
     if result.set is None:
         raise ValueError(f"there is no set to draw: {result.reason}")
     return result.set
+
+
+def _spread(history: Sequence[Any], most: int, power: int = 1) -> list[int]:
+    """At most `most` steps of a history from the first to the last, the gaps growing with the power."""
+    spread = np.linspace(0, 1, min(most, len(history))) ** power * (len(history) - 1)
+    return [int(k) for k in np.unique(np.maximum(spread.round(), np.arange(len(spread))))]
+
+
+def _draw_nested(ax: Axes, sets: Mapping[int, Polytope], name: str) -> None:
+    """Draw sets by their step: the last one filled, the others as outlines, darker is later."""
+    shades = np.linspace(0.75, 0.1, len(sets))
+    for (k, P), shade in zip(sets.items(), shades):
+        if not P.is_empty:
+            outline = {"facecolor": "none", "edgecolor": cividis(shade), "linewidth": 1.1}
+            draw_set(ax, P, **(TERMINAL if k == [*sets][-1] else outline), label=rf"${name}_{{{k}}}$")
+
+
+def _draw_solid(ax: Any, corners: Array, faces: list[Ring], style: Style) -> Any:
+    """Draw a Polytope of R^3 that has faces: these and its edges."""
+    own = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 1.0, "linestyle": "-", **style}
+    zorder = {"zorder": own["zorder"]} if "zorder" in own else {}
+    *colour, alpha = to_rgba(own["facecolor"])
+    if len(faces) > 1:  # the reader looks through two faces, which together are as opaque
+        alpha = 1 - np.sqrt(1 - alpha)
+    solid = Poly3DCollection(
+        [corners[[*ring]] for ring in faces], facecolor=(*colour, alpha), edgecolor="none", **zorder
+    )
+    ax.computed_zorder = False  # the order of the artists; that of their depths has no meaning for nested sets
+    ax.add_collection3d(solid)
+    ax.add_collection3d(Edges(corners, faces, own["edgecolor"], own["linewidth"], own["linestyle"], **zorder))
+    if own.get("label"):  # as in the plane; two artists make the set, and neither alone shows in a legend what it is
+        look = {key: own[key] for key in ("facecolor", "edgecolor", "linewidth", "linestyle")}
+        ax.add_container(BarContainer([Rectangle((0, 0), 1, 1, **look)], label=own["label"]))
+    return solid
+
+
+class Edges(Line3DCollection):  # type: ignore[misc]  # mpl_toolkits has no types
+    """The edges of a Polytope of R^3; those with all their faces turned away from the reader are dotted, in any view.
+
+    Parameters
+    ----------
+    corners : array (v, 3)
+    faces : list of tuple of int
+        Both from `faces.rings`.
+    colour, width, line
+        Of an edge that is not hidden.
+    **style
+        Of matplotlib.collections.LineCollection.
+    """
+
+    def __init__(self, corners: Array, faces: list[Ring], colour: Any, width: float, line: Any, **style: Any) -> None:
+        self.corners, self.faces, self.pairs = corners, faces, edges(faces)
+        self.width, self.line = width, line
+        super().__init__([corners[[*pair]] for pair in self.pairs], colors=[colour], **style)
+
+    def do_3d_projection(self) -> float:
+        """Project to the plane of the picture."""
+        hidden = self.hidden()
+        self.set_linestyle([HIDDEN["linestyle"] if one else self.line for one in hidden])
+        self.set_linewidth([min(HIDDEN["linewidth"], self.width) if one else self.width for one in hidden])
+        return float(super().do_3d_projection())
+
+    def hidden(self) -> list[bool]:
+        """Whether all faces beside an edge are turned away, in the present view of the axes, for each edge."""
+        points = np.column_stack(proj_transform(*self.corners.T, self.axes.get_proj()))
+        seen = {pair for face in self.faces if self._faces_reader(points, face) for pair in edges([face])}
+        return [pair not in seen for pair in self.pairs]
+
+    def _faces_reader(self, points: Array, face: Ring) -> bool:
+        """Whether the outward normal of a face points to the reader, who looks along the third axis of `points`."""
+        around = points[[*face]]
+        normal = np.cross(around, np.roll(around, -1, axis=0)).sum(axis=0)
+        outward = normal @ (around.mean(axis=0) - points.mean(axis=0))
+        return len(self.faces) == 1 or normal[2] * outward <= 0

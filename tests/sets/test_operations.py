@@ -201,3 +201,36 @@ def test_empty_sets_stay_empty():
         assert [Q.dimension for Q in made] == [2, 2, 2, 3, 1, 1] and P.volume() == 0
         assert P.equals(empty_sets[0]) and not P.equals(square) and len(made[3].vertices()) == 0
     assert square.erode(Polytope.box([0, 0], [2, 0])).is_empty
+
+
+@kinds
+@units
+def test_section_fixes_the_other_coordinates(kind, unit):
+    rng = np.random.default_rng(5)
+    P = random_set(rng, 3, kind, unit)
+    at = P.sample(rng, 1)[0] if kind == "fat" else P.vertices()[0]
+    for axes in ([1], [2, 0], [0, 1, 2], [1, 2]):
+        E = np.delete(np.eye(3), axes, axis=0)
+        found = P.section(axes, at)
+        assert found.is_empty == (P & Polytope([*E, *-E, [0, 0, 0]], [*E @ at, *-E @ at, 0])).is_empty
+        y = np.tile(at, (50, 1))
+        y[:, axes] += np.ldexp(rng.normal(size=(50, len(axes))), unit) * np.arange(50)[:, None]
+        inside = P.contains(y)
+        assert (found.contains(y[:, axes]) >= inside).all()
+        if kind == "fat":
+            assert inside[0] and (found.contains(y[:, axes]) == inside).all()
+
+
+def test_sections_are_empty_exactly_where_no_point_has_these_coordinates():
+    simplex = Polytope([[1, 1, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]], [1, 0, 0, 0])
+    assert simplex.section([0, 1], [9, 9, 1]).vertices().tolist() == [[0, 0]]
+    assert simplex.section([0, 1], [9, 9, np.nextafter(1, 2)]).is_empty
+    third = Polytope([[3, 0], [-3, 0], [0, 1], [0, -1]], [1, -1, 1, 1])  # x_1 = 1/3, which is no float
+    assert third.section([1], 1 / 3).is_empty and third.section([0], 0.5).equals(Polytope([[3], [-3]], [1, -1]))
+    tenths = Polytope([[1, 0.1], [-1, -0.1]], [0.3, -0.3])  # x_1 = 0.3 - 0.1 x_2, no float for x_2 = 3 either
+    lower, upper = tenths.section([0], 3).bounding_box()
+    assert lower <= upper and upper - lower < 1e-15
+    assert simplex.section([2, 0, 1]).equals(Polytope(simplex.H[:, [2, 0, 1]], simplex.h))
+    half_space = Polytope([[1, 1, 0]], [1])
+    assert not half_space.section([2], [0.5, 0.5, 0]).is_bounded and half_space.section([2], [1, 1, 0]).is_empty
+    assert Polytope([[0, 0, 0]], [-1]).section([1]).is_empty

@@ -270,6 +270,8 @@ def test_dict_reads_back_to_the_same_bits(numbers):
         (lambda: Polytope.box([0, 0], [1, 1]).project([0, 2]), ["0 to 1", "[0, 2]"]),
         (lambda: Polytope.box([0, 0], [1, 1]).project([1, 1]), ["different", "[1, 1]"]),
         (lambda: Polytope.box([0, 0], [1, 1]).project([]), ["at least one", "[]"]),
+        (lambda: Polytope.box([0, 0], [1, 1]).section([0, 2]), ["0 to 1", "[0, 2]"]),
+        (lambda: Polytope.box([0, 0], [1, 1]).section([0], [1, 2, 3]), ["at has shape (3,)", "R^2"]),
     ],
 )
 def test_bad_arguments_are_named(make, words):

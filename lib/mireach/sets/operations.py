@@ -106,6 +106,16 @@ def linear_preimage(P: Polytope, M: Array, t: Array) -> Rows:
     return Rows(np.array(rows), np.array([nearest(b - rational.dot(a, shift)) for a, b in zip(H, h)]))
 
 
+def section(P: Polytope, axes: Sequence[int], at: Array) -> Rows:
+    """{y : x in P, where x_i = y_i for i in axes and x_j = at_j for the others}: see `Polytope.section`."""
+    others = [j for j in range(P.dimension) if j not in axes]
+    plane = np.eye(P.dimension)[others]
+    if ConvexSet(np.vstack([P.H, plane, -plane]), np.concatenate([P.h, at[others], -at[others]])).is_empty:
+        return empty(len(axes))
+    shift = binary(np.where(np.isin(np.arange(P.dimension), axes), 0, at))
+    return _rows_with(P.H[:, axes], [b - rational.dot(row, shift) for row, b in zip(*P.exact)])
+
+
 def hull_of(points: Array) -> Rows:
     """The convex hull of points (k, n), rounded outward: see `Polytope.from_points`."""
     n = points.shape[1]

@@ -594,7 +594,7 @@ class Polytope(ConvexSet):
 
         See Also
         --------
-        map : any linear image; product : the other way round.
+        section : the values in the other coordinates fixed; map : any linear image; product : the other way round.
 
         Examples
         --------
@@ -605,11 +605,55 @@ class Polytope(ConvexSet):
         -----
         Rounded outward for bounded P, and approximate for unbounded P: see `map`.
         """
+        return self.map(np.eye(self.dimension)[self._coordinates(axes)])
+
+    def section(self, axes: ArrayLike, at: ArrayLike = 0) -> Polytope:
+        """Section {(x_i for i in axes) : x in P, x_j = at_j for all j not in axes}.
+
+        Parameters
+        ----------
+        axes : sequence of int
+            Different coordinates, from 0 to n - 1, in the order of the result.
+        at : array (n,) or number
+            A point of R^n through which the section passes. Its coordinates in axes have no effect.
+
+        Returns
+        -------
+        Polytope
+            In R^len(axes), with one row per row of P. Empty if and only if no point of P has these coordinates.
+
+        Raises
+        ------
+        ValueError
+            If axes is empty, repeats a coordinate, or names one that P does not have, or if `at` has another size.
+
+        See Also
+        --------
+        project : the union of all sections; preimage : of any affine map.
+
+        Examples
+        --------
+        >>> P = Polytope([[1, 1, 1]], [3]) & Polytope.box([0, 0, 0], [2, 2, 2])
+        >>> P.section([0, 2], at=[0, 2, 0]).vertices().tolist()
+        [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+
+        Notes
+        -----
+        Whether it is empty is decided without rounding. Otherwise the offsets h - sum_j H_j at_j are rounded up, so the
+        result holds every point of the section.
+        """
+        chosen, point = self._coordinates(axes), real_array(at, "at", np.ndim(at))
+        if point.shape not in ((), (self.dimension,)):
+            raise ValueError(f"at has shape {point.shape}, but the polytope lies in R^{self.dimension}")
+        return Polytope(*operations.section(self, chosen, np.broadcast_to(point, self.dimension)))
+
+    def _coordinates(self, axes: ArrayLike) -> list[int]:
+        """The different coordinates that `axes` names, checked."""
         chosen = [whole_number(axis, "an entry of axes", 0) for axis in np.atleast_1d(axes).tolist()]
         n = self.dimension
         if not chosen or len({*chosen}) < len(chosen) or max(chosen) >= n:
             raise ValueError(f"axes must be different coordinates from 0 to {n - 1}, at least one; got {chosen}")
-        return self.map(np.eye(n)[chosen])
+        return chosen
 
     def _affine(self, M: ArrayLike, t: ArrayLike | None, M_columns: bool) -> tuple[Array, Array]:
         """M and t of an affine map as arrays, their sizes checked; P lies where M comes from, or where it leads."""
