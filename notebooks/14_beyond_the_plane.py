@@ -9,11 +9,11 @@
 # ---
 
 # %% [markdown]
-# # Beyond the plane: three and four tanks, by the MILP alone
+# # Beyond the plane: three and four tanks
 #
-# **What you will do.** Find the safe set of a hybrid system with three states, and simulate its trajectories. Find out
-# why the MILP is fast enough. Check the sets of a system with four states. See what a certificate can state where no
-# exact cells exist.
+# **What you will do.** Find the safe set of a hybrid system with three states, and simulate its trajectories. Compare
+# the cells with the MILP. Check the sets of a system with four states. See what a certificate of more than two states
+# can state.
 #
 # **What you will learn.** What changes for $n > 2$, and what does not. How the template decides whether a safe set is
 # found. How *bound by a solver* differs from *proven*. What exact $k$-step sets cost.
@@ -51,8 +51,9 @@ print(f"|d| <= {tanks.disturbance_bound} cm; {tanks.network}")
 # %% [markdown]
 # ## 2 The safe set
 #
-# The calls are the same as for two states. For $n > 2$ `mireach` selects the MILP of Lemma 2 by itself. The template is
-# the box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: the amount of water in all three tanks together changes more
+# The calls are the same as for two states. `mireach` computes the cells of the loop, polytopes of $\mathbb{R}^3$ on
+# which the map is affine; there are 358 of them here. A loop with too many cells, or with more than six states, gets
+# the MILP of Lemma 2 instead. The template is the box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: the amount of water in all three tanks together changes more
 # slowly than any single level.
 
 # %%
@@ -69,8 +70,7 @@ for row, before, after in zip(safe.set.H[:8], tanks.system.state_set.support(saf
 # Why is the safe set smaller than $\mathcal{X}$? If the outer levels are 10 cm too high, water flows into the middle
 # tank for every input, and raises its level above the limit. $\mathcal{F}_{\max}$ excludes these states.
 #
-# The terminal set takes longer to compute. It is shipped with the package, in the certificate of the case. `check_rpi`
-# proves it again. It only checks whether each facet holds, which is faster than computing the support function of each.
+# The terminal set is shipped with the package, in the certificate of the case. `check_rpi` proves it again.
 
 # %% tags=["nbval-check-output"]
 sequence = load_sets("three_tanks")
@@ -164,8 +164,9 @@ plt.show()
 #
 # ## 5 A certificate without cells
 #
-# Exact cells exist for two states only. A certificate of a larger system contains the bounds of the solver. The checker
-# compares them exactly with the sets, but it cannot derive them again, and it reports this. It never reports *proven*.
+# The checker computes exact cells for two states only. A certificate of a larger system contains the bounds of an
+# engine. The checker compares them exactly with the sets, but it cannot derive them again, and it reports this. It
+# never reports *proven*.
 
 # %% tags=["nbval-check-output"]
 print(mr.certificate.verify(data_file("four_tanks", "certificate.json")))
@@ -190,7 +191,8 @@ for k in (1, 2, 3):
 # %% [markdown]
 # ## What you saw
 #
-# - For $n > 2$ the same calls give the same guarantees, up to the accuracy of 1e-6 of a MILP solver.
+# - For $n > 2$ the same calls give the same guarantees. With the MILP they hold to within 1e-6 of the size of X, unless
+#   exact arithmetic decides.
 # - One template row that uses the physics, here the amount of water in all tanks, is worth more than many that do not.
 # - The time depends on how many binaries the bounds leave undecided, not on how many the formulation has.
 # - A certificate distinguishes bounds of a solver from proofs.
