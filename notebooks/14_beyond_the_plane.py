@@ -53,8 +53,8 @@ print(f"|d| <= {tanks.disturbance_bound} cm; {tanks.network}")
 #
 # The calls are the same as for two states. `mireach` computes the cells of the loop, polytopes of $\mathbb{R}^3$ on
 # which the map is affine; there are 358 of them here. A loop with too many cells, or with more than six states, gets
-# the MILP of Lemma 2 instead. The template is the box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: the amount of water in all three tanks together changes more
-# slowly than any single level.
+# the MILP of Lemma 2 instead. The template is the box, $(I, -I)$, and two more rows, $\pm(1, 1, 2)$: the amount of
+# water in all three tanks together changes more slowly than any single level.
 
 # %%
 begin = perf_counter()

@@ -7,8 +7,9 @@ import pytest
 from loops import affine_loop, jump_loop, random_images, random_loop
 
 import mireach as mr
-from mireach import Cells, Engine, Milp, Polytope, box_directions, directions
+from mireach import Cells, Engine, Polytope, box_directions, directions
 from mireach.analysis.reach import outer_reach, outer_step, support
+from mireach.engines import registry
 
 UNIT = Polytope.box([-1, -1], [1, 1])
 
@@ -50,18 +51,12 @@ def test_engines_answer_by_name(engine):
     np.testing.assert_allclose(found.value, [2, 1, 3, 0], atol=1e-8)
 
 
-def test_default_engine_is_the_cells_in_the_plane_and_the_milp_elsewhere(monkeypatch):
-    asked = []
-
-    def asking(kind):
-        answer = kind.support
-        return lambda self, *args, **more: asked.append(self.name) or answer(self, *args, **more)
-
-    for kind in (Cells, Milp):
-        monkeypatch.setattr(kind, "support", asking(kind))
-    support(random_loop(0), UNIT, directions(4))
-    support(random_loop(0, 3), Polytope.box(-np.ones(3), np.ones(3)), np.eye(3))
-    assert asked == ["cells", "milp"]
+@pytest.mark.parametrize(("n", "few", "name"), [(2, 0, "cells"), (3, 1000, "cells"), (3, 1, "milp"), (7, 1000, "milp")])
+def test_default_engine_is_the_cells_where_they_are_few(n, few, name, monkeypatch):
+    monkeypatch.setattr(registry, "FEW_CELLS", few)
+    loop = random_loop(0, n)
+    found = support(loop, Polytope.box(-np.ones(n) / 8, np.ones(n) / 8), box_directions(n)[:1])
+    assert found.engine == name == registry.engine_for(loop).name
 
 
 def test_an_engine_of_ones_own_is_asked_in_the_units_of_the_loop():

@@ -40,7 +40,7 @@ def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
     >>> from mireach import Milp, case_study
     >>> loop = case_study("pwa").loop
     >>> engine_for(loop), engine_for(loop, "exact"), engine_for(loop, Milp(time_limit=60)).time_limit
-    (Cells(), Exact(most_cells=20000), 60)
+    (Cells(limit=500000), Exact(most_cells=20000), 60)
     """
     require_kind(loop, ClosedLoop, "loop")
     if engine is None:

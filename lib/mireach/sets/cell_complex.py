@@ -72,7 +72,7 @@ class CellComplex:
         if n > MOST_STATES:
             raise CellLimitError(f'a box in R^{n} alone has 2^{n} vertices, too many for cells; use engine="milp"')
         limits = np.array([P.bound(box_directions(n)) for P in polytopes]).reshape(-1, 2, n)
-        high, low = limits[:, 0], -limits[:, 1]
+        high, low = limits[:, 0], 0.0 - limits[:, 1]
         corner = (np.arange(2**n)[:, None] >> np.arange(n)) & 1
         points = np.ascontiguousarray(np.where(corner, high[:, None], low[:, None]).reshape(-1, n))
         masks = ((1 << np.arange(n)) * np.where(corner, 1, 2**n)).sum(axis=1)
