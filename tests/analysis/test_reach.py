@@ -57,6 +57,7 @@ def test_default_engine_is_the_cells_where_they_are_few(n, few, name, monkeypatc
     loop = random_loop(0, n)
     found = support(loop, Polytope.box(-np.ones(n) / 8, np.ones(n) / 8), box_directions(n)[:1])
     assert found.engine == name == registry.engine_for(loop).name
+    assert registry.engine_for(loop, None, 2).name == ("cells" if n == 2 else "milp")
 
 
 def test_an_engine_of_ones_own_is_asked_in_the_units_of_the_loop():

@@ -42,7 +42,8 @@ def support(
         The k of R_k.
     engine : Engine, str or None
         An engine with its settings, such as `Milp(time_limit=60)`; "cells", "milp", "exact" or "cvxpy" for one with
-        its defaults; None for the cells if there are few enough, else the MILP (`Support.engine` says which).
+        its defaults; None for the cells if there are few enough, else the MILP (`Support.engine` says which). For
+        several steps of more than two states None is the MILP.
     cutoff : array (k,) or None
         Give it if only the question whether h exceeds this matters: an engine may stop at any bound that does not
         exceed it.
@@ -76,8 +77,9 @@ def support(
     >>> bool((found.value <= found.bound).all()), found.rests_on
     (True, 'rounding counted')
     """
-    engine, begin = engine_for(loop, engine), perf_counter()
+    begin = perf_counter()
     V, steps = checked_query(loop, F, V, steps)
+    engine = engine_for(loop, engine, steps)
     query, units = Query(loop, F, V, steps), own_units(loop)
     rows, factor = units.rows(V)
     if cutoff is not None:

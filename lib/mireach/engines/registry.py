@@ -18,7 +18,7 @@ MOST_STATES = 6  # up to which they are tried
 ENGINES: dict[str, type[Engine]] = {kind.name: kind for kind in (Cells, Milp, Exact, Cvxpy)}
 
 
-def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
+def engine_for(loop: ClosedLoop, engine: Engine | str | None = None, steps: int = 1) -> Engine:
     """The Engine object for a loop.
 
     Parameters
@@ -27,6 +27,9 @@ def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
     engine : Engine, str or None
         An engine; the name of one, which then has its default settings; or None, which is `Cells` if the loop has at
         most `FEW_CELLS` cells, and `Milp` otherwise. The cells are computed for this decision and kept.
+    steps : int
+        Of the query. For more than two states the images of many pieces take long, so that None is `Milp` for more
+        than one step.
 
     Raises
     ------
@@ -44,7 +47,7 @@ def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
     """
     require_kind(loop, ClosedLoop, "loop")
     if engine is None:
-        return _fastest(loop)
+        return _fastest(loop, steps)
     if isinstance(engine, str):
         if engine not in ENGINES:
             raise ValueError(f"engine must be one of {', '.join(ENGINES)} or an Engine; got {engine!r}")
@@ -58,12 +61,12 @@ def engine_for(loop: ClosedLoop, engine: Engine | str | None = None) -> Engine:
     return engine
 
 
-def _fastest(loop: ClosedLoop) -> Engine:
-    """`Cells`, or `Milp` for loops with too many states or cells."""
+def _fastest(loop: ClosedLoop, steps: int) -> Engine:
+    """`Cells`, or `Milp` for loops with too many states or cells, and for several steps of more than two states."""
     n = loop.system.state_size
     if n == 2:
         return Cells()
-    if n > MOST_STATES:
+    if n > MOST_STATES or steps > 1:
         return Milp()
     try:
         space.dynamics(own_units(loop).loop, FEW_CELLS)
