@@ -57,7 +57,7 @@ class LoopCells:
     M : array (N, n, n)
     c : array (N, n)
     error : array (N, n)
-        Upper bound of the error of every component of M x + c, from the rounding of M, c and what is computed of them.
+        Upper bound of the error of every component of M x + c + d, from the rounding of M, c, d and their sums.
     unit : float
         Bounds are rounded up to multiples of this power of two.
     """
@@ -131,10 +131,10 @@ def _dynamics(loop: ClosedLoop, limit: int) -> LoopCells | CellLimitError:
     extent, terms = found.complex.extent, system.state_size + system.input_size + 8
     M, c = A + B @ found.K, np.einsum("nij,nj->ni", B, found.g) + p
     inputs = np.abs(found.K) @ extent + np.abs(found.g) + found.error
-    size = np.abs(A) @ extent + np.einsum("nij,nj->ni", np.abs(B), inputs) + np.abs(p)
+    reach = np.array([np.abs(mode.disturbance.bounding_box()).max(axis=0) for mode in system.modes])
+    size = np.abs(A) @ extent + np.einsum("nij,nj->ni", np.abs(B), inputs) + np.abs(p) + reach[found.mode]
     error = np.einsum("nij,nj->ni", np.abs(B), found.error) + 2 * terms * ROUNDOFF * size
-    spread = max(float(np.abs(D.bounding_box()).max()) for D in {mode.disturbance for mode in system.modes})
-    largest = max(1.0, float(size.max(initial=0.0)), spread)
+    largest = max(1.0, float(size.max(initial=0.0)))
     return LoopCells(found, M, c, error, float(max(BOUND_GRID, LARGE_IMAGE * 2.0 ** np.ceil(np.log2(largest)))))
 
 
@@ -308,6 +308,8 @@ def _is_empty(every: LoopCells, F: Polytope, best: _Highest) -> bool:
     if not np.isfinite(best.top).all():
         return True
     part, _ = every.cells.complex.take(best.owner[:1]).clip(np.column_stack([F.H, F.h]))
+    if not len(part):
+        return F.is_empty
     x = part.points.mean(axis=0)
     rounding = (len(x) + 4) * ROUNDOFF * (np.abs(F.H) @ np.abs(x) + np.abs(F.h))
     return bool((F.H @ x + rounding > F.h).any()) and F.is_empty

@@ -104,11 +104,6 @@ class CellComplex:
         """First vertex and first row of each cell, and their numbers at the end: array (N + 1, 2) of int."""
         return np.concatenate([np.zeros((1, 2), int), np.cumsum(self.counts, axis=0)])
 
-    @cached_property
-    def owner(self) -> IntArray:
-        """(T,) index of the cell that each vertex belongs to."""
-        return np.repeat(np.arange(len(self)), self.counts[:, 0])
-
     def vertices(self, i: int) -> Array:
         """Vertices (v, n) of cell i."""
         return self.points[self.starts[i, 0] : self.starts[i + 1, 0]]
