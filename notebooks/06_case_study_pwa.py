@@ -316,7 +316,7 @@ left.set(xlabel="$k$", ylabel=r"$h_{\overline{\mathcal{R}}_k}(C_i)$")
 left.legend(ncols=2, fontsize="small")
 right.semilogy(np.where(violation > 0, violation, np.nan), ".-", color=plotting.BLUE)
 right.axvline(terminal.steps, color=plotting.RED, linestyle="--", label=rf"$\bar k = {terminal.steps}$")
-right.set(xlabel="$k$", ylabel="violation of eq. TerminationFmin")
+right.set(xlabel="$k$", ylabel="violation of eq. (25), TerminationFmin")
 right.legend()
 plt.show()
 
@@ -468,7 +468,7 @@ shrink = terminal.alphas - 1
 rest = shrink <= 0
 fig, ax = plt.subplots(figsize=(6.6, 4), layout="constrained")
 ax.semilogy(k, direct, "o--", color=plotting.ORANGE, markersize=5, label=r"$\alpha$ by the proof's own inclusion")
-ax.semilogy(k[~rest], shrink[~rest], ".-", color=plotting.BLUE, label=r"$\alpha_k$ of eq. StabCondFmin")
+ax.semilogy(k[~rest], shrink[~rest], ".-", color=plotting.BLUE, label=r"$\alpha_k$ of eq. (26), StabCondFmin")
 paper = case.paper["alpha"] - 1
 bottom = min(paper, shrink[~rest].min()) / 10
 floor = np.full(rest.sum(), bottom)  # where to draw alpha_k - 1 = 0 on the log scale

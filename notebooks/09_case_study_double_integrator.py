@@ -212,7 +212,7 @@ step_viewer(draw_attaining, len(safe.history), size=(6.5, 4.0))
 print("equilibrium of the nominal loop:", loop.equilibrium().round(2))
 about = {name: mr.terminal_set(loop, safe, C, epsilon=1e-3, centre=name) for name in ("origin", "equilibrium")}
 for name, found in about.items():
-    print(f"about the {name:12s} k = {found.steps}, eq. TerminationFmin holds: {found.criterion}")
+    print(f"about the {name:12s} k = {found.steps}, eq. (25), TerminationFmin, holds: {found.criterion}")
 print("paper:                 k =", case.paper["steps"])
 
 # %%

@@ -333,7 +333,7 @@ k = np.arange(1, len(proof_needs) + 1)
 # %%
 figure, ax = plt.subplots(figsize=(6.4, 3.3), layout="constrained")
 for values, label, style in (
-    (to_rest.alphas, r"$\alpha_k$ of eq. StabCondFmin", {"color": plotting.BLACK, "marker": "o"}),
+    (to_rest.alphas, r"$\alpha_k$ of eq. (26), StabCondFmin", {"color": plotting.BLACK, "marker": "o"}),
     (
         np.array(proof_needs),
         r"contraction of $\overline{\mathcal{R}}_k$",

@@ -137,7 +137,7 @@ def terminal_set(
     >>> loop = mr.case_study("pwa").loop
     >>> terminal = mr.terminal_set(loop, mr.safe_set(loop, mr.directions(8)), mr.directions(8))
     >>> print(terminal)
-    terminal set: R43 of 43 steps; eq. TerminationFmin holds at k = 43; alpha = 1.0000202
+    terminal set: R43 of 43 steps; eq. (25), TerminationFmin, holds at k = 43; alpha = 1.0000202
 
     Notes
     -----
@@ -172,10 +172,10 @@ def terminal_set(
             bar.update()
     k = len(alphas)
     if criterion:
-        reason = f"eq. TerminationFmin holds at k = {k}"
+        reason = f"eq. (25), TerminationFmin, holds at k = {k}"
     elif stagnant:
         rest = f"R{k} = R{k - 1}{'' if same else ' to within what the engine resolves'}"
-        reason = f"stagnation: {rest}, but eq. TerminationFmin about {c.tolist()} fails"
+        reason = f"stagnation: {rest}, but eq. (25), TerminationFmin, about {c.tolist()} fails"
         reason += ", and always will" if constant else ""
         if isinstance(centre, str) and centre == "origin":
             reason += '; try centre="equilibrium"'

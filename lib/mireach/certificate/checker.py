@@ -869,7 +869,8 @@ class Claims:
         S = [(a, b - room * epsilon / (1 + epsilon)) for (a, b), room in zip(self.sets[-1], apart)]
         corners = polygon(S, "S", self._clock) if min(apart) >= 0 else []  # c lies in R_k
         holds = bool(corners) and all(self._attains(S, a, self._support(corners, a)) for a, _ in S)
-        says = f"eq. TerminationFmin about {show(c)} with epsilon = {about(epsilon)} {'holds' if holds else 'fails'}"
+        word = "holds" if holds else "fails"
+        says = f"eq. (25), TerminationFmin, about {show(c)} with epsilon = {about(epsilon)} {word}"
         return proven(says) if holds == claim["holds"] else refuted(says)
 
     def theorem_1(self, claim: Claim) -> Finding:

@@ -118,7 +118,7 @@ def _iteration_rows(analysis: Analysis, studied: list[SeedRow]) -> Iterator[Row]
     remark = _spread(paper["steps"], terminal.steps, [row.steps for row in studied if row.criterion])
     yield Row("k-bar (about the origin)", paper["steps"], terminal.steps, remark)
     holds, reason = ("holds", "") if terminal.criterion else ("fails", terminal.reason)
-    yield Row("eq. TerminationFmin, epsilon = 1e-3", "holds", holds, reason)
+    yield Row("eq. (25), TerminationFmin, epsilon = 1e-3", "holds", holds, reason)
 
 
 def _centred_rows(analysis: Analysis) -> Iterator[Row]:
@@ -142,7 +142,7 @@ def _theorem_1_rows(analysis: Analysis) -> Iterator[Row]:
         "largest alpha with R_1(alpha R_min) in R_min",
         "-",
         f"1 + {analysis.contraction - 1:.2g}" if analysis.contraction > 1 else "1",
-        "all that the proof of Theorem 1 uses of eq. StabCondFmin; above 1 the terminal set is stable",
+        "all that the proof of Theorem 1 uses of eq. (26), StabCondFmin; above 1 the terminal set is stable",
     )
     theorem = certificate.report["theorem_1"]
     yield Row(
