@@ -1,6 +1,7 @@
 """Support functions and decisions against scipy and fractions: linprog, and rational elimination."""
 
 import pickle
+from collections import Counter
 from fractions import Fraction
 from itertools import permutations
 
@@ -11,6 +12,7 @@ from loops import highest_vertex, largest
 from polytopes import exactly, far_away, flat, fraction, nearly_flat, ordinary, polytopes, rows, whole_vector
 
 from mireach import Polytope, directions
+from mireach.arithmetic.rational import binary, maximize
 
 
 def by_linprog(P, V):
@@ -164,6 +166,25 @@ def test_maxima_over_flat_sets_with_rows_without_offset(n, count):
             assert fraction(P.exact_maximum(v).value) == right
             highest = max(sum(b * y for b, y in zip(exactly(v), corner)) for corner in corners)
             assert abs(highest - right) <= 1e-12
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_a_box_in_any_rows_has_the_maxima_of_the_simplex_method(n):
+    """Rows of any length, several along one axis, ends that are missing, boxes that are flat or empty."""
+    rng, kinds = np.random.default_rng(n), Counter()
+    for _ in range(80):
+        count = int(rng.integers(n, 4 * n + 1))
+        H = np.zeros((count, n))
+        H[np.arange(count), rng.integers(0, n, count)] = rng.choice([-3.0, -1.0, 0.1, 7.0], count)
+        P = Polytope(H, rng.choice([0.0, 0.3, 1.0, 2.0], count) - 0.2 * rng.integers(0, 2))
+        for v in [*rng.integers(-1, 2, (4, n)).astype(float), np.zeros(n)]:
+            best, right = P.exact_maximum(v), maximize(*P.exact, binary(v))
+            assert best.value == right.value
+            kinds[str(right.value) if right.point is None else "a point"] += 1
+            if best.point is not None:
+                assert P.exact_maximum(v).value == sum(a * x for a, x in zip(binary(v), best.point))
+                assert all(sum(a * x for a, x in zip(row, best.point)) <= b for row, b in zip(*P.exact))
+    assert min(kinds[kind] for kind in ("a point", "inf", "-inf")) >= 10
 
 
 def test_inclusion_sees_the_last_bit():

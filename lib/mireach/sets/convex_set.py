@@ -292,7 +292,7 @@ class ConvexSet:
         A float solver proposes n rows that are tight at the maximum. They prove it if the point x at which they meet
         lies in P and v is a sum of their normals with factors y >= 0 (both over the rationals), since then
         v x = y h. Otherwise the simplex method decides over the rationals, starting from those rows. Bounded sets of
-        the plane have their vertices computed over the rationals, once.
+        the plane have their vertices computed over the rationals, once. A box needs no solver.
         """
         given: Any = v
         if len(given) and all(isinstance(entry, flint().fmpq) for entry in given):
@@ -305,7 +305,9 @@ class ConvexSet:
             return ExactOptimum(-np.inf, None) if self.point is None else ExactOptimum(direction[0], self.point)
         if self._plane is not None and len(self.h) <= MANY:
             return self._highest_corner(row, direction)
-        rows = self._tight(row)
+        if self._ends is not None:
+            return self._highest_end(direction)
+        rows, _ = self._proposed(row)
         proven = self._at(rows, direction)
         return proven or rational.maximize(*self.exact, direction, [r for r in rows if r < len(self.h)])
 
@@ -317,6 +319,8 @@ class ConvexSet:
             return tuple(z * two ** int(e) for z, e in zip(middle, self._plane.unit))
         if self._plane is not None and len(self.h) <= MANY:
             return next(iter(self._corners), None)
+        if self._ends is not None:
+            return self._middle
         (H, h), (rows, found) = self.exact, self._proposed(np.zeros(self.dimension))
         zero = [flint().fmpq(0)] * self.dimension
         for candidate in found:
@@ -504,6 +508,47 @@ class ConvexSet:
         """What `_meeting` found, by rows."""
         return {}
 
+    @cached_property
+    def _ends(self) -> tuple[list[Rational | None], list[Rational | None]] | None:
+        """The lower and upper ends of each coordinate over the rationals, if every row bounds one coordinate alone.
+
+        None stands for no end; the whole is None for sets that are no boxes. A lower end may exceed its upper end.
+        """
+        if ((self.H != 0).sum(axis=1) != 1).any():
+            return None
+        ends: tuple[list[Rational | None], list[Rational | None]] = ([None] * self.dimension, [None] * self.dimension)
+        for row, offset in zip(*self.exact):
+            j = next(j for j, entry in enumerate(row) if entry)
+            side, sign = (ends[1], 1) if row[j] > 0 else (ends[0], -1)
+            end, known = offset / row[j], side[j]
+            side[j] = end if known is None or sign * end < sign * known else known
+        return ends
+
+    @cached_property
+    def _middle(self) -> tuple[Rational, ...] | None:
+        """The centre of a box, or a point of an unbounded one; None if it is empty."""
+        ends: Any = self._ends
+        point = []
+        for low, high in zip(*ends):
+            if low is not None and high is not None and low > high:
+                return None
+            known = [end for end in (low, high) if end is not None]
+            point.append(sum(known, flint().fmpq(0)) / max(len(known), 1))
+        return tuple(point)
+
+    def _highest_end(self, direction: Sequence[Rational]) -> ExactOptimum:
+        """The ExactOptimum of a box."""
+        if self._middle is None:
+            return ExactOptimum(-np.inf, None)
+        ends: Any = self._ends
+        chosen = [
+            middle if not entry else high if entry > 0 else low
+            for entry, middle, low, high in zip(direction, self._middle, *ends)
+        ]
+        if any(end is None for end in chosen):
+            return ExactOptimum(np.inf, None)
+        return ExactOptimum(rational.dot(direction, chosen), tuple(chosen))
+
     def _highest_corner(self, v: Array, direction: tuple[Rational, ...]) -> ExactOptimum:
         """The ExactOptimum of a bounded set of the plane."""
         corners = [*self._corners]
@@ -586,14 +631,6 @@ class ConvexSet:
         x = lp.add_columns(np.full(self.dimension, -np.inf), np.full(self.dimension, np.inf))
         lp.add_rows(x, row, upper=offset)
         return lp, x, unit
-
-    def _tight(self, v: Array) -> tuple[int, ...]:
-        """Rows that a float solver proposes as tight at the maximum along v: sorted, n of them if it finds a vertex."""
-        if self.dimension > 1:
-            return self._proposed(v)[0]
-        row, offset, _ = self._scaled
-        ahead = np.flatnonzero(row[:, 0] * v[0] > 0)
-        return (int(ahead[np.argmin(offset[ahead] / np.abs(row[ahead, 0]))]),) if len(ahead) else ()
 
     def _proposed(self, v: Array) -> tuple[tuple[int, ...], tuple[tuple[Rational, ...], ...]]:
         """HiGHS's optimum along v: rows that are tight (from l on those of x_j = 0), and its point, if it has one."""
