@@ -290,7 +290,7 @@ def test_a_wrong_bound_within_the_state_set_proves_nothing():
     assert found.verdict == "unknown" and found.set is None and "was wrong" in found.reason
 
 
-@pytest.mark.parametrize(("n", "engine"), [(2, "milp"), (2, "exact"), (3, None)])
+@pytest.mark.parametrize(("n", "engine"), [(2, "milp"), (2, "exact"), (3, "milp")])
 def test_engines_that_cannot_cut_first_are_named(n, engine):
     with pytest.raises(ValueError, match=r"cannot cut first.*cells"):
         safe_set(contraction(n=n, p=np.zeros(n)), engine=engine, cut_first=True)

@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from fuzz import space_loop, space_sets
 from loops import (
     affine_loop,
     assert_replays,
@@ -24,6 +25,7 @@ from mireach import (
     Mode,
     Polytope,
     PWASystem,
+    box_directions,
     case_study,
     directions,
     exact_reach,
@@ -488,6 +490,21 @@ def test_bounds_within_the_state_set_are_those_of_brute_force(kind):
         ends = random_images(loop, F, np.random.default_rng(1), 50)
         ends = ends[(ends @ X.H.T <= X.h).all(axis=1)]
         assert ((ends @ V.T).max(axis=0, initial=-np.inf) <= found + 1e-12).all()
+    assert left  # sets whose image X cuts
+
+
+@pytest.mark.parametrize(("n", "seeds"), [(1, 6), (3, 4), (4, 2)])
+def test_bounds_within_the_state_set_of_any_dimension_are_those_of_brute_force(n, seeds):
+    left = 0
+    for seed in range(seeds):
+        rng, loop = space_loop(seed, n)
+        X, V = loop.system.state_set, np.vstack([box_directions(n), rng.normal(size=(2, n))])
+        for kind, F in space_sets(loop, rng):
+            if kind in ("sliver", "needle", "beyond X"):
+                continue
+            found, expected = Cells().cut_support(loop, F, V), brute_support(loop, F, V, within=X)
+            assert ((found >= expected - 1e-9) & ((found <= expected + 1e-7) | (found == expected))).all(), kind
+            left += (expected < Cells().support(loop, F, V).value - 1e-3).any()
     assert left  # sets whose image X cuts
 
 

@@ -144,3 +144,16 @@ def test_the_solver_writes_nothing_to_the_terminal():
     """Nor does it to the file descriptors, which code in C++ uses."""
     done = subprocess.run([sys.executable, "-c", SOLVE], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_a_change_that_highs_refuses_is_an_error():
+    """HiGHS reports it by a status alone and goes on with the old model, which has another number of variables."""
+    lp = LinearProgram()
+    x = lp.add_columns([0.0], [1.0])
+    for refused in (
+        lambda: lp.add_columns([np.inf], [np.inf]),
+        lambda: lp.set_bounds(x, np.inf, np.inf),
+        lambda: lp.add_row(x, [1.0], lower=np.inf),
+    ):
+        with pytest.raises(SolverError, match="refuses"):
+            refused()

@@ -122,8 +122,8 @@ def safe_set(
     limit = X.offsets(V)
     h, history = X.bound(V), [X]
     image: Support | None = None
-    if cut_first and not engine.cuts(loop):
-        raise ValueError(f'the engine "{engine.name}" cannot cut first; use engine="cells", for two states')
+    if cut_first and not engine.cuts:
+        raise ValueError(f'the engine "{engine.name}" cannot cut first; use engine="cells"')
     trusted = True  # whether no set of the sequence rests on a solver's word
     with tqdm(total=max_iterations, desc="safe set", disable=not progress) as bar:
         for k in range(max_iterations + 1):

@@ -293,13 +293,9 @@ class Engine(ABC):
         """
         raise ValueError(f'the engine "{self.name}" has no bounds of R_1(F) & X (cut_support); use engine="cells"')
 
-    def cuts(self, loop: ClosedLoop) -> bool:
-        """Whether the engine has `cut_support` for a loop.
-
-        Parameters
-        ----------
-        loop : ClosedLoop
-        """
+    @property
+    def cuts(self) -> bool:
+        """Whether the engine has `cut_support`."""
         return type(self).cut_support is not Engine.cut_support
 
 

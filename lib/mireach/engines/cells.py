@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ..errors import CellLimitError, SolverError
+from ..errors import CellLimitError
 from ..sets.kernels import affine_pieces, highest, parts, sharp_pairs
 from ..sets.polygons import Polygons
 from ..sets.polytope import Polytope
@@ -335,23 +335,14 @@ class Cells(Engine):
             return found
         return CellSupport(found.value, found.bound, witness, F, every.cells, left)
 
-    def cuts(self, loop: ClosedLoop) -> bool:
-        """True for two states.
-
-        Parameters
-        ----------
-        loop : ClosedLoop
-        """
-        return loop.system.state_size == 2
-
     def cut_support(self, loop: ClosedLoop, F: Polytope, V: Array) -> Array:
-        """Upper bounds of the support function of R_1(F) & X, as `Engine.cut_support`, for two states.
+        """Upper bounds of the support function of R_1(F) & X, as `Engine.cut_support`.
 
         Parameters
         ----------
         loop : ClosedLoop
         F : Polytope
-        V : array (k, 2)
+        V : array (k, n)
 
         Returns
         -------
@@ -360,11 +351,11 @@ class Cells(Engine):
 
         Raises
         ------
-        ValueError
-            If the loop does not have two states.
+        CellLimitError
+            If the loop has more than `limit` cells.
         """
-        if not self.cuts(loop):
-            raise ValueError(f"cut_support needs two states, but the loop has {loop.system.state_size}")
+        if loop.system.state_size != 2:
+            return space.cut_support(loop, F, V, self.limit)
         every = dynamics(loop)
         return _highest_in_state_set(loop.system.state_set, every, F, _rows(loop, every, V.shape, V.tobytes()))
 
@@ -703,16 +694,12 @@ def _highest_in_state_set(X: Polytope, every: LoopCells, F: Polytope, rows: _Row
 
     inside = np.all(tops(X.H) <= X.h, axis=1)
     most = np.where(inside[:, None], tops(rows.V), np.minimum(tops(rows.V), X.bound(rows.V)))
-    bound = most[inside].max(axis=0, initial=-inf)
-    programs: dict[int, tuple[LinearProgram, IntArray]] = {}
-    for k, v in enumerate(rows.V):
-        for i in np.argsort(-most[:, k], kind="stable").tolist():
-            if most[i, k] <= bound[k]:
-                break
-            if i not in programs:
-                points, j = images[part.starts[i] : part.starts[i + 1]], index[i]
-                programs[i] = _successors_in(X, points, every.corners[mode[i]], every.error[j])
-            bound[k] = max(bound[k], min(most[i, k], _proven_maximum(*programs[i], v)))
+
+    def program(i: int) -> tuple[LinearProgram, IntArray]:
+        points, cell = images[part.starts[i] : part.starts[i + 1]], index[i]
+        return _successors_in(X, points, every.corners[mode[i]], every.error[cell])
+
+    bound = space.highest_within(most, inside, program, rows.V)
     return np.ceil(bound / rows.unit + 0.05) * rows.unit
 
 
@@ -729,11 +716,3 @@ def _successors_in(X: Polytope, points: Array, corners: Array, error: Array) -> 
     lp.add_row(weights, np.ones(len(weights)), 1.0, 1.0)
     lp.add_rows(np.concatenate([after, shares, weights]), np.hstack([axes, -points.T, -corners.T]), -error, error)
     return lp, after
-
-
-def _proven_maximum(lp: LinearProgram, columns: IntArray, v: Array) -> float:
-    """An upper bound of v x[columns] by weak duality; inf where HiGHS gives no multipliers."""
-    try:
-        return lp.bound(columns, v)
-    except SolverError:  # flat sets can leave a solver undecided
-        return inf

@@ -1,6 +1,6 @@
 """The cells of a closed loop with any number of states: the polytopes of X on which one mode acts and Phi is affine."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arithmetic.rational import above, binary, dot, maximize, nearest
-from ..errors import CellLimitError
+from ..errors import CellLimitError, SolverError
 from ..sets.cell_complex import CellComplex
 from ..sets.polytope import Polytope
 from ..sets.templates import box_directions
@@ -16,7 +16,7 @@ from ..solvers.linear_program import LinearProgram
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
 from ..tolerances import BOUND_GRID, CLOSE_BOUND, FLAT_IMAGE, LARGE_IMAGE, ROUNDOFF
-from ..typing import Array, IntArray
+from ..typing import Array, BoolArray, IntArray
 from .base import LazySequence, Support, Witness, empty_support, replay
 
 MOST_PIECES = 2_000  # polytopes that a reachable set of several steps may fall into
@@ -393,3 +393,79 @@ def _longer_witness(
         lp.add_rows(columns, step, lower=every.c[cell], upper=every.c[cell])
     best = lp.maximize(states[-1], v).point
     return None if best is None else replay(loop, best[states[0]], modes, [best[d] for d in disturbances])
+
+
+# -- successors within X ------------------------------------------------------------------------------
+
+
+def cut_support(loop: ClosedLoop, F: Polytope, V: Array, limit: int) -> Array:
+    """h of R_1(F) & X along V: the answer of `cells.Cells.cut_support` for more than two states."""
+    every, X = dynamics(loop, limit), loop.system.state_set
+    rows = _rows(loop, limit, V.shape, V.tobytes())
+    part, owner = every.cells.complex.clip(np.column_stack([F.H, F.h]))
+    if not len(part):
+        return np.full(len(V), -np.inf)
+    W = np.vstack([X.H, V])
+    spread = np.array([mode.disturbance.bound(W) for mode in loop.system.modes])
+    heights, tops = part.heights(_maps(every, owner, W, spread))
+    inside = np.all(tops[:, : len(X.h)] <= X.h, axis=1)
+    sure = inside & np.all(tops - heights <= CLOSE_BOUND, axis=1)
+    most = tops[:, len(X.h) :]
+    most = np.where(inside[:, None], most, np.minimum(most, X.bound(V)))
+    bound = highest_within(most, sure, lambda i: _successors_in(loop, every, part.polytope(i) & F, int(owner[i])), V)
+    return np.ceil(bound / rows.unit + 0.05) * rows.unit
+
+
+def highest_within(
+    most: Array, sure: BoolArray, program: Callable[[int], tuple[LinearProgram, IntArray] | None], V: Array
+) -> Array:
+    """The largest v x+ over parts of a set: upper bounds (k,), rounding counted.
+
+    Parameters
+    ----------
+    most : array (N, k)
+        Upper bounds for each part.
+    sure : array (N,) of bool
+        Where they are attained up to rounding.
+    program : callable
+        Part -> the linear program of its successors, and its columns of x+; None if it is empty. It is asked for
+        parts that may pass what the others attain.
+    V : array (k, n)
+    """
+    bound: Array = most[sure].max(axis=0, initial=-np.inf)
+    programs: dict[int, tuple[LinearProgram, IntArray] | None] = {}
+    for k, v in enumerate(V):
+        for i in np.argsort(-most[:, k], kind="stable").tolist():
+            if most[i, k] <= bound[k]:
+                break
+            if i not in programs:
+                programs[i] = program(i)
+            found = programs[i]
+            if found is not None:
+                bound[k] = max(bound[k], min(most[i, k], _proven_maximum(*found, v)))
+    return bound
+
+
+def _proven_maximum(lp: LinearProgram, columns: IntArray, v: Array) -> float:
+    """An upper bound of v x[columns] by weak duality; inf where HiGHS gives no multipliers."""
+    try:
+        return lp.bound(columns, v)
+    except SolverError:  # flat sets can leave a solver undecided
+        return np.inf
+
+
+def _successors_in(
+    loop: ClosedLoop, every: LoopCells, part: Polytope, cell: int
+) -> tuple[LinearProgram, IntArray] | None:
+    """x+ = M x + c + d in X for x in a part of a cell, d in D, up to the error: a linear program; its columns of x+."""
+    if part.is_empty:
+        return None
+    X, D = loop.system.state_set, loop.system.modes[every.cells.mode[cell]].disturbance
+    lp, axes = LinearProgram(), np.eye(X.dimension)
+    after, x, d = (lp.add_columns(-S.bound(-axes), S.bound(axes)) for S in (X, part, D))
+    for columns, S in ((after, X), (x, part), (d, D)):
+        lp.add_rows(columns, S.H, upper=S.h)
+    low, high = every.c[cell] - every.error[cell], every.c[cell] + every.error[cell]
+    step = np.hstack([axes, -every.M[cell], -axes])
+    lp.add_rows(np.concatenate([after, x, d]), step, np.nextafter(low, -np.inf), np.nextafter(high, np.inf))
+    return lp, after

@@ -151,7 +151,7 @@ class LinearProgram:
         first = len(self.lower)
         self._cached_rows = None
         self._cached_limits = None
-        self.highs.addVars(lower.size, lower.ravel(), upper.ravel())
+        _require_accepted(self.highs.addVars(lower.size, lower.ravel(), upper.ravel()), "variables")
         self.lower = np.concatenate([self.lower, lower.ravel()])
         self.upper = np.concatenate([self.upper, upper.ravel()])
         return np.arange(first, first + lower.size, dtype=np.int32)
@@ -162,7 +162,7 @@ class LinearProgram:
         lower = np.broadcast_to(lower, columns.shape)
         upper = np.broadcast_to(upper, columns.shape)
         for column, low, high in zip(columns, lower, upper):
-            self.highs.changeColBounds(int(column), float(low), float(high))
+            _require_accepted(self.highs.changeColBounds(int(column), float(low), float(high)), "limits")
         self.lower[columns] = lower
         self.upper[columns] = upper
         self._cached_limits = None
@@ -188,9 +188,7 @@ class LinearProgram:
             lower, upper = -_scaled_up(-lower, -exponent), _scaled_up(upper, -exponent)
         used = coefficients != 0
         indices, coefficients = np.asarray(columns, np.int32)[used], coefficients[used]
-        self._cached_rows = None
-        self._entries.append(Row(indices, coefficients, lower, upper))
-        self._powers.append(power)
+        row = Row(indices, coefficients, lower, upper)
         tiny = np.abs(coefficients) <= TINY_COEFFICIENT
         if tiny.any():
             left_out = indices[tiny]
@@ -200,7 +198,10 @@ class LinearProgram:
             coefficients = coefficients[~tiny]
             lower -= slack
             upper += slack
-        self.highs.addRow(lower, upper, len(indices), indices, coefficients)
+        _require_accepted(self.highs.addRow(lower, upper, len(indices), indices, coefficients), "a row")
+        self._cached_rows = None
+        self._entries.append(row)
+        self._powers.append(power)
 
     def add_rows(
         self, columns: ArrayLike, matrix: ArrayLike, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf
@@ -523,6 +524,12 @@ class LinearProgram:
         _, exponent = math.frexp(np.abs(self._costs).max(initial=0))
         self._factor = 2.0 ** -max(-1000, min(exponent, 1000))
         self.highs.changeColsCost(len(self._costed), self._costed, self._costs * self._factor)
+
+
+def _require_accepted(status: highspy.HighsStatus, what: str) -> None:
+    """Raise SolverError if HiGHS has not taken over a change of its model, as it does not for a lower limit of inf."""
+    if status == highspy.HighsStatus.kError:
+        raise SolverError(f"HiGHS refuses {what} of the model: a limit or a coefficient has no meaning")
 
 
 def _scaled_up(limit: float, exponent: int) -> float:
