@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The one entry point: makes .venv, installs what is pinned in requirements.txt, runs a task.
 
-    python3 run.py reproduce          both case studies -> results/report.md, results/report.json, docs/figures/
+    python3 run.py reproduce          the case studies -> results/report.md, results/report.json, docs/figures/
     python3 run.py test               every test, the notebooks and exercises included
     python3 run.py verify FILE        check a certificate, such as data/pwa/certificate.json; needs no set-up
     python3 run.py lab                JupyterLab on notebooks/

@@ -17,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     quiet = argparse.ArgumentParser(add_help=False)
     quiet.add_argument("--quiet", action="store_true", help="no progress bars")
 
-    task = tasks.add_parser("reproduce", parents=[quiet], help="both case studies: figures, report, table")
+    task = tasks.add_parser("reproduce", parents=[quiet], help="the case studies: figures, report, table")
     task.add_argument("--results", default="results", help="folder of report.json and report.md")
     task.add_argument("--figures", default="docs/figures", help="folder of the figures")
     task.add_argument("--certificates", default="data", help="folder that gets CASE/certificate.json")

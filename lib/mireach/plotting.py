@@ -182,10 +182,12 @@ def legend_above(ax: Axes, columns: int) -> None:
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize="small")
 
 
-def new_figure(size: tuple[float, float], dpi: float | None = None, dimension: int = 2) -> tuple[Figure, Any]:
-    """A figure of `size` inches with one set of Axes of the plane or of R^3, which no window shows: (Figure, Axes)."""
+def new_figure(
+    size: tuple[float, float], dpi: float | None = None, dimension: int = 2, panels: tuple[int, int] = (1, 1)
+) -> tuple[Figure, Any]:
+    """A figure of `size` inches that no window shows, and its Axes of the plane or of R^3: an array for more panels."""
     figure = Figure(figsize=size, dpi=dpi, layout="constrained")
-    return figure, figure.add_subplot(projection="3d" if dimension == 3 else None)
+    return figure, figure.subplots(*panels, subplot_kw={"projection": "3d"} if dimension == 3 else None)
 
 
 def save_svg(figure: Figure, file: Any, **options: Any) -> None:

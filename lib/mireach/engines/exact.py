@@ -35,7 +35,7 @@ class Exact(Engine):
 
     See Also
     --------
-    Cells : the same in floating point, for two states and any number of steps.
+    Cells : the same in floating point, for any number of steps.
     Milp : without cells, for large networks.
 
     Examples

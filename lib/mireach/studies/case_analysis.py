@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import pairwise
 from time import perf_counter
 from typing import Any
@@ -18,8 +19,10 @@ from ..analysis.reach import outer_reach, support
 from ..analysis.rpi import check_rpi
 from ..analysis.safe_set import SafeSet, safe_set
 from ..analysis.terminal_set import TerminalSet, terminal_set
+from ..arithmetic.rational import fractions
 from ..certificate.writer import Certificate, make
 from ..checks import require_kind
+from ..engines import exact
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..typing import Array
@@ -65,11 +68,13 @@ class Analysis:
     centred : TerminalSet or None
         About the closed loop's equilibrium; None if it has none.
     minimal : MinimalSet
-    maximal : MaximalSafeSet
-    certificate : Certificate
-        Of F_max, the terminal set about the origin, and the theorems.
+    maximal : MaximalSafeSet or None
+    certificate : Certificate or None
+        Of F_max, the terminal set about the origin, and the theorems. Both are for two states alone.
     exactly : dict of str to bool
         Of every set, whether its claim is proven in exact arithmetic.
+    exact_supports : dict of str to list of Fraction
+        h of R_1(F_max) and of R_1 of the terminal set along `case.directions`, without rounding.
     trajectories : Trajectories
     contraction : float
         Largest alpha with R_1(alpha R_min-bar) in R_min-bar.
@@ -86,9 +91,10 @@ class Analysis:
     terminal: TerminalSet
     centred: TerminalSet | None
     minimal: MinimalSet
-    maximal: MaximalSafeSet
-    certificate: Certificate
+    maximal: MaximalSafeSet | None
+    certificate: Certificate | None
     exactly: dict[str, bool]
+    exact_supports: dict[str, list[Fraction]]
     trajectories: Trajectories
     contraction: float
     bounded: UltimateBound | None
@@ -159,16 +165,21 @@ def analyse(
         centred = _about_equilibrium(case, safe, engine)
     with _timed(seconds, "scaled_minimal_set"):
         minimal = scaled_minimal_set(loop, case.directions, case.epsilon, safe=safe, engine=engine)
-    with _timed(seconds, "maximal_safe_set"):
-        maximal = maximal_safe_set(loop)
-    with _timed(seconds, "certificate"):
-        certificate = make(loop, safe, terminal, plant=case.plant)
+    maximal = certificate = None
+    if case.system.state_size == 2:
+        with _timed(seconds, "maximal_safe_set"):
+            maximal = maximal_safe_set(loop)
+        with _timed(seconds, "certificate"):
+            certificate = make(loop, safe, terminal, plant=case.plant)
     with _timed(seconds, "trajectories"):
         trajectories = _trajectories(case, safe.set, terminal.steps, engine)
     with _timed(seconds, "exact_proofs"):
-        exactly = _proven_by_certificate(certificate) | _proven_exactly(
-            loop, centred, minimal, maximal, trajectories.reach
-        )
+        exactly = {} if certificate is None else _proven_by_certificate(certificate)
+        exactly |= _proven_exactly(loop, terminal, centred, minimal, maximal, trajectories.reach)
+        exact_supports = {
+            "safe_set": _exact_supports(case, safe.set),
+            "terminal_set": _exact_supports(case, terminal.set),
+        }
     with _timed(seconds, "contraction"):
         growth = contraction(loop, terminal.set, terminal.centre, engine)
     bounded = None
@@ -188,6 +199,7 @@ def analyse(
         maximal=maximal,
         certificate=certificate,
         exactly=exactly,
+        exact_supports=exact_supports,
         trajectories=trajectories,
         contraction=growth,
         bounded=bounded,
@@ -234,21 +246,38 @@ def _proven_by_certificate(certificate: Certificate) -> dict[str, bool]:
 
 
 def _proven_exactly(
-    loop: ClosedLoop, centred: TerminalSet | None, minimal: MinimalSet, maximal: MaximalSafeSet, reach: list[Polytope]
+    loop: ClosedLoop,
+    terminal: TerminalSet,
+    centred: TerminalSet | None,
+    minimal: MinimalSet,
+    maximal: MaximalSafeSet | None,
+    reach: list[Polytope],
 ) -> dict[str, bool]:
-    """Of the other sets by name, whether their claims are proven in exact arithmetic."""
+    """Of the sets by name, whether their claims are proven in exact arithmetic; without those of a certificate."""
 
     def holds_images(sets: list[Polytope]) -> bool:
         return all((support(loop, F, G.H, engine="exact").bound <= G.h).all() for F, G in pairwise(sets))
 
     proven = {}
+    if maximal is None:
+        proven["F_max"] = holds_images([terminal.history[0], terminal.history[0]])
+        proven["R_1 to R_k"] = holds_images(terminal.history)
+        proven["terminal set"] = holds_images([terminal.set, terminal.set])
     if centred is not None:
         proven["terminal set about the equilibrium"] = holds_images([*centred.history, centred.set])
     if minimal.set is not None:
         proven["scaled minimal set"] = holds_images([minimal.set, minimal.set])
-    proven["maximal safe set"] = maximal.verdict == "proven"
+    if maximal is not None:
+        proven["maximal safe set"] = maximal.verdict == "proven"
     proven["reachable sets of the first state"] = holds_images(reach)
     return proven
+
+
+def _exact_supports(case: CaseStudy, F: Polytope) -> list[Fraction]:
+    """h of R_1(F) along the rows of the case's template, without rounding."""
+    steps = exact.support_steps(case.loop, F, case.directions)
+    assert steps is not None  # an invariant set of a case is not empty
+    return [*fractions(step.value for step in steps)]
 
 
 def _cross_check(

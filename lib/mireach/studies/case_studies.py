@@ -92,7 +92,7 @@ class CaseDefinition:
     safe_set_remark : str
         Why the box F_max differs from the paper's; empty where the paper prints no box.
     figures : tuple of str
-        Names of the figures that the report draws of it.
+        Names of the figures that the report draws of it; a case without any is not in the report.
     slider : AmountSlider or None
         None for cases that the disturbance lab does not show, since it draws the plane.
     """
@@ -424,6 +424,7 @@ THREE_TANKS = CaseDefinition(
     directions=np.vstack([box_directions(3), LEVELS]),
     safe_directions=np.vstack([box_directions(3), LEVELS]),
     starts=[[5, -8, 0], [-8, -8, 7], [5, 5, -1]],
+    figures=("three_tanks",),
 )
 FOUR_TANKS = CaseDefinition(
     name="four_tanks",
@@ -434,7 +435,9 @@ FOUR_TANKS = CaseDefinition(
     directions=box_directions(4),
     safe_directions=box_directions(4),
     starts=[[2.5, -2.5, 0, 0], [-2.5, -2.5, -1, -1], [2, 3, 1, -1]],
+    figures=("four_tanks",),
 )
 CASES = {case.name: case for case in (PWA, DOUBLE_INTEGRATOR, THREE_TANKS, FOUR_TANKS)}
 NAMES = tuple(CASES)
 PAPER_NAMES = tuple(name for name, case in CASES.items() if case.paper)
+REPORTED = tuple(name for name, case in CASES.items() if case.figures)

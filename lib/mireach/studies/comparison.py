@@ -1,15 +1,17 @@
-"""The table *paper vs. here* of one case study."""
+"""The table of one case study: what the paper prints, where it has the case, and what was computed here."""
 
 from collections.abc import Iterator
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
 
+from ..analysis.reach import support
 from ..analysis.terminal_set import TerminalSet
 from ..typing import Array
 from .case_analysis import Analysis
 from .case_studies import CaseStudy, data_file
-from .seed_study import SeedRow, load_rows
+from .seed_study import load_rows
 from .tables import html_table, markdown_table
 
 HEAD = ("item", "paper", "here", "remark")
@@ -31,6 +33,8 @@ class Comparison(NamedTuple):
     ----------
     name : str
         Of the case.
+    has_paper : bool
+        Whether the paper has the case; otherwise the table has no such column.
     rows : list of Row
     seconds : dict of str to float
         Of each stage of the analysis.
@@ -41,39 +45,44 @@ class Comparison(NamedTuple):
     """
 
     name: str
+    has_paper: bool
     rows: list[Row]
     seconds: dict[str, float]
 
     def __str__(self) -> str:
-        return f"case {self.name}: {len(self.rows)} items compared with the paper"
+        return f"case {self.name}: {len(self.rows)} items{' compared with the paper' if self.has_paper else ''}"
+
+    def _table(self) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+        """The head and the lines."""
+        columns = [j for j, name in enumerate(HEAD) if self.has_paper or name != "paper"]
+        return tuple(HEAD[j] for j in columns), [tuple(row[j] for j in columns) for row in self.rows]
 
     def _repr_html_(self) -> str:
-        return html_table(HEAD, self.rows)
+        return html_table(*self._table())
 
     def markdown(self) -> str:
         """The table as a section in Markdown, with the seconds of each stage below it."""
         times = ", ".join(f"{key.replace('_', ' ')} {value:.3g} s" for key, value in self.seconds.items())
-        lines = [f"## Case `{self.name}`\n", *markdown_table(HEAD, self.rows)]
+        title = f"## Case `{self.name}`{'' if self.has_paper else ', beyond the paper'}\n"
+        lines = [title, *markdown_table(*self._table())]
         return "\n".join([*lines, "", f"Seconds: {times}.", ""])
 
 
 def compare(analysis: Analysis) -> Comparison:
-    """What the paper prints of a case beside what the analysis found.
+    """What the analysis of a case found, beside what the paper prints if it has the case.
 
     Parameters
     ----------
     analysis : Analysis
-        Of one of the paper's cases.
 
     Returns
     -------
     Comparison
     """
     case = analysis.case
-    studied = load_rows(data_file(case.name, "seeds.csv"))
     rows = [
         *_network_rows(case),
-        *_iteration_rows(analysis, studied),
+        *_iteration_rows(analysis),
         *_centred_rows(analysis),
         *_theorem_1_rows(analysis),
         *_other_set_rows(analysis),
@@ -84,39 +93,41 @@ def compare(analysis: Analysis) -> Comparison:
         rows.append(Row("F_max", _box(*paper), _box(*box), case.definition.safe_set_remark))
     if case.fit is not None:
         rows += _fit_rows(analysis)
-    return Comparison(case.name, rows, analysis.seconds)
+    return Comparison(case.name, bool(case.paper), rows, analysis.seconds)
 
 
 def _network_rows(case: CaseStudy) -> Iterator[Row]:
     paper, hidden = case.paper, case.network.hidden
     first = hidden[0]
     shape = f"{len(hidden) - 2}x{first.width} maxout, pool {first.pool}"
-    modes = len(case.system.modes)
+    modes, samples = len(case.system.modes), len(case.data) + len(case.data.infeasible)
     yield Row("network", shape, f"{shape} + saturation", "two exact maxout layers project onto U (Sec. II.A)")
     yield Row(
         "binaries of one step",
         modes + sum(len(layer.bias) for layer in hidden[:-2]),
         modes + case.network.binaries,
-        "the saturation layers add 4",
+        f"the saturation layers add {sum(len(layer.bias) for layer in hidden[-2:])}",
     )
     yield Row(
         "states of the data set",
-        paper["samples"],
-        paper["samples"],
+        paper.get("samples"),
+        samples,
         f"{len(case.data)} have a solution, for {len(case.data.infeasible)} none was found",
     )
-    yield Row("disturbance bound", paper["disturbance_bound"], case.disturbance_bound)
+    yield Row("disturbance bound", paper.get("disturbance_bound"), case.disturbance_bound)
 
 
-def _iteration_rows(analysis: Analysis, studied: list[SeedRow]) -> Iterator[Row]:
-    paper = analysis.case.paper
-    safe = analysis.safe
-    terminal = analysis.terminal
-    others = [row.iterations for row in studied if row.verdict == "proven"]
-    remark = _spread(paper["iterations"], safe.iterations, others)
-    yield Row("iterations to F_max", paper["iterations"], safe.iterations, remark)
-    remark = _spread(paper["steps"], terminal.steps, [row.steps for row in studied if row.criterion])
-    yield Row("k-bar (about the origin)", paper["steps"], terminal.steps, remark)
+def _iteration_rows(analysis: Analysis) -> Iterator[Row]:
+    case, paper = analysis.case, analysis.case.paper
+    safe, terminal = analysis.safe, analysis.terminal
+    iterations = steps = ""
+    if paper:
+        studied = load_rows(data_file(case.name, "seeds.csv"))
+        proven = [row.iterations for row in studied if row.verdict == "proven"]
+        iterations = _spread(paper["iterations"], safe.iterations, proven)
+        steps = _spread(paper["steps"], terminal.steps, [row.steps for row in studied if row.criterion])
+    yield Row("iterations to F_max", paper.get("iterations"), safe.iterations, iterations)
+    yield Row("k-bar (about the origin)", paper.get("steps"), terminal.steps, steps)
     holds, reason = ("holds", "") if terminal.criterion else ("fails", terminal.reason)
     yield Row("eq. (25), TerminationFmin, epsilon = 1e-3", "holds", holds, reason)
 
@@ -144,10 +155,10 @@ def _theorem_1_rows(analysis: Analysis) -> Iterator[Row]:
         f"1 + {analysis.contraction - 1:.2g}" if analysis.contraction > 1 else "1",
         "all that the proof of Theorem 1 uses of eq. (26), StabCondFmin; above 1 the terminal set is stable",
     )
-    theorem = certificate.report["theorem_1"]
-    yield Row(
-        "Theorem 1, decided by a fraction", "-", theorem.verdict, f"alpha = {certificate.alpha}; {theorem.reason}"
-    )
+    if certificate is not None:
+        theorem = certificate.report["theorem_1"]
+        remark = f"alpha = {certificate.alpha}; {theorem.reason}"
+        yield Row("Theorem 1, decided by a fraction", "-", theorem.verdict, remark)
 
 
 def _other_set_rows(analysis: Analysis) -> Iterator[Row]:
@@ -159,6 +170,8 @@ def _other_set_rows(analysis: Analysis) -> Iterator[Row]:
         yield Row(item, "-", f"k = {minimal.steps}", "not reached from F_max")
     else:
         yield Row(item, "-", f"k = {minimal.steps}", f"reached from F_max at k = {minimal.reached_at}")
+    if maximal is None:
+        return
     area = 0.0 if maximal.set is None else maximal.set.area
     yield Row(
         "area of the maximal safe set (of F_max)",
@@ -172,6 +185,11 @@ def _other_set_rows(analysis: Analysis) -> Iterator[Row]:
 def _proof_rows(analysis: Analysis) -> Iterator[Row]:
     for name, holds in analysis.exactly.items():
         yield Row(f"{name}: proven exactly", "-", "yes" if holds else "no")
+    if analysis.certificate is None:
+        gaps = _gaps(analysis)
+        yield Row(
+            "bounds of R_1 less their exact values", "-", f"{min(gaps):.2g} to {max(gaps):.2g}", "of F_max and of R_min"
+        )
     counts = analysis.count_trajectories()
     yield Row(
         "trajectories",
@@ -187,6 +205,16 @@ def _proof_rows(analysis: Analysis) -> Iterator[Row]:
             f"largest difference of {check['supports_compared']} supports; by {check['engine']}, F_max is "
             f"{check['safe_set_rpi']} RPI and the terminal set {check['terminal_set_rpi']}",
         )
+
+
+def _gaps(analysis: Analysis) -> list[float]:
+    """The bounds of the default engine on h of R_1(F_max) and R_1(R_min), less the exact values."""
+    case, sets = analysis.case, {"safe_set": analysis.F_max, "terminal_set": analysis.terminal.set}
+    return [
+        float(Fraction(bound) - exact)
+        for name, F in sets.items()
+        for bound, exact in zip(support(case.loop, F, case.directions).bound, analysis.exact_supports[name])
+    ]
 
 
 def _fit_rows(analysis: Analysis) -> Iterator[Row]:

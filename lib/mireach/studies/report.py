@@ -1,4 +1,4 @@
-"""`reproduce`: the paper's case studies from the shipped networks to figures, report.json and report.md."""
+"""`reproduce`: the case studies from the shipped networks to figures, report.json and report.md."""
 
 from pathlib import Path
 from typing import Any
@@ -7,9 +7,10 @@ import numpy as np
 
 from ..analysis.maximal_set import MaximalSafeSet
 from ..analysis.terminal_set import TerminalSet
+from ..certificate.writer import Certificate
 from ..files import write_json, write_whole
 from .case_analysis import Analysis, analyse
-from .case_studies import PAPER_NAMES, case_study
+from .case_studies import REPORTED, case_study
 from .comparison import compare
 
 FORMAT = "mireach-report/1"
@@ -24,7 +25,7 @@ def reproduce(
     cross_check: str | None = "milp",
     progress: bool = False,
 ) -> str:
-    """Analyse the paper's cases, draw the figures, write the report and the certificates.
+    """Analyse the paper's cases and the two tank systems; draw the figures; write the report and the certificates.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ def reproduce(
     figures : str or Path
         Folder of the figures, as SVG and PNG.
     certificates : str or Path
-        Folder that gets CASE/certificate.json.
+        Folder that gets CASE/certificate.json for two states.
     engine, cross_check
         As in `case_analysis.analyse`.
     progress : bool
@@ -53,10 +54,11 @@ def reproduce(
     """
     from .figures import draw_figures  # imports matplotlib
 
-    analyses = [analyse(case_study(name), engine, cross_check, progress=progress) for name in PAPER_NAMES]
+    analyses = [analyse(case_study(name), engine, cross_check, progress=progress) for name in REPORTED]
     draw_figures(analyses, figures)
     for analysis in analyses:
-        analysis.certificate.save(Path(certificates) / analysis.case.name / "certificate.json")
+        if analysis.certificate is not None:
+            analysis.certificate.save(Path(certificates) / analysis.case.name / "certificate.json")
     text = "\n".join(["# The paper and this reproduction\n", *(compare(analysis).markdown() for analysis in analyses)])
     cases = {analysis.case.name: as_dict(analysis) for analysis in analyses}
     write_json(Path(results) / "report.json", {"format": FORMAT, "cases": cases})
@@ -88,10 +90,14 @@ def as_dict(analysis: Analysis) -> dict[str, Any]:
             "steps": analysis.minimal.steps,
             "reached_at": analysis.minimal.reached_at,
         },
-        "maximal_safe_set": _maximal_dict(analysis.maximal),
+        "maximal_safe_set": None if analysis.maximal is None else _maximal_dict(analysis.maximal),
         "proven_exactly": analysis.exactly,
-        "claims": {one.claim: {"verdict": one.verdict, "reason": one.reason} for one in certificate.report.results},
-        "exact_alpha": None if certificate.alpha is None else str(certificate.alpha),
+        "exact_supports": {
+            "directions": case.directions.tolist(),
+            **{name: [str(value) for value in values] for name, values in analysis.exact_supports.items()},
+        },
+        "claims": None if certificate is None else _claims_dict(certificate),
+        "exact_alpha": None if certificate is None or certificate.alpha is None else str(certificate.alpha),
         "trajectories": analysis.count_trajectories(),
         "cross_check": analysis.cross_check,
         "paper": case.paper,
@@ -113,6 +119,10 @@ def _terminal_dict(terminal: TerminalSet) -> dict[str, Any]:
         "criterion": terminal.criterion,
         "reason": terminal.reason,
     }
+
+
+def _claims_dict(certificate: Certificate) -> dict[str, Any]:
+    return {one.claim: {"verdict": one.verdict, "reason": one.reason} for one in certificate.report.results}
 
 
 def _maximal_dict(maximal: MaximalSafeSet) -> dict[str, Any]:
