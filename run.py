@@ -34,6 +34,12 @@ VENV = ROOT / ".venv"
 STAMP = VENV / "installed"  # written last: the digest of what was installed
 LOCK = ROOT / ".venv.lock"  # held while .venv is being made
 PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+FIRST_CALLS = """
+import mireach as mr
+for name in ("pwa", "three_tanks"):
+    case = mr.case_study(name)
+    mr.safe_set(case.loop, case.safe_directions)
+"""
 TASKS = {
     "reproduce": ["-m", "mireach", "reproduce"],
     "test": ["-m", "pytest", "-n", "auto"],
@@ -82,6 +88,13 @@ def make_environment() -> None:
     pip = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     install([*pip, "-r", str(ROOT / "requirements.txt")])
     install([*pip, "--no-deps", "--no-build-isolation", "-e", str(ROOT)])
+    compile_kernels()
+
+
+def compile_kernels() -> None:
+    """Run the compiled functions once; numba keeps them on disk. A failure shows when they are used."""
+    print("compiling (about a minute, once)", flush=True)
+    subprocess.run([str(PYTHON), "-c", FIRST_CALLS], cwd=ROOT, capture_output=True)
 
 
 @contextmanager

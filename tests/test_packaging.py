@@ -172,6 +172,7 @@ def log(line):
         file.write(line + "\\n")
 
 venv.create, run.install = create, lambda command: (time.sleep(0.5), log("install"))
+run.compile_kernels = lambda: log("compile")
 run.set_up()
 log("ready")
 """
@@ -192,7 +193,7 @@ def test_two_first_set_ups_at_once_install_once_and_the_second_says_that_it_wait
     assert [process.returncode for process in both] == [0, 0]
     assert said[0].startswith("setting up .venv") and said[1].startswith("waiting for another process")
     assert "setting up .venv (some" not in said[1]
-    assert (checkout / "log").read_text().split() == ["venv", "install", "install", "ready", "ready"]
+    assert (checkout / "log").read_text().split() == ["venv", "install", "install", "compile", "ready", "ready"]
 
 
 def test_a_set_up_that_was_killed_leaves_no_lock_behind(checkout):
@@ -205,7 +206,7 @@ def test_a_set_up_that_was_killed_leaves_no_lock_behind(checkout):
     command = [sys.executable, "-c", SET_UP.format(folder=str(checkout))]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and "waiting" not in done.stdout
-    assert (checkout / "log").read_text().split() == ["venv", "venv", "install", "install", "ready"]
+    assert (checkout / "log").read_text().split() == ["venv", "venv", "install", "install", "compile", "ready"]
 
 
 @pytest.mark.parametrize(
