@@ -641,37 +641,21 @@ def _uncovered(images: Sequence[_Image]) -> list[Piece]:
     return kept
 
 
-def _witness(loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, piece: Piece, cell: int) -> Witness:
+def _witness(loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, piece: Piece, cell: int) -> Witness | None:
     """A trajectory that attains the maximum along v: through the chain of a piece, to the part of `cell` in it."""
     part, index = every.cells.restrict(piece.set)
     points = part[np.flatnonzero(index == cell)[0]]
     if piece.chain:
-        return _longer_witness(loop, every, F, v, [*piece.chain, (points, cell)])
+        chain = [*piece.chain, (points, cell)]
+        stages = [
+            space.Stage(Polytope.from_points(part), int(every.cells.mode[j]), every.M[j], every.c[j])
+            for part, j in chain
+        ]
+        return space.longest(loop, F, v, stages)
     mode = every.cells.mode[cell]
     corners = every.corners[mode]
     point = points[np.argmax(every.images(points, np.full(len(points), cell)) @ v)]
     return replay(loop, point, [mode], [corners[np.argmax(corners @ v)]])
-
-
-def _longer_witness(
-    loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, chain: Sequence[tuple[Array, int]]
-) -> Witness:
-    """max v x(k) over x(0) in F, x(j) in the j-th polygon of a chain, d(j) in D: one LP."""
-    lp, free = LinearProgram(), np.full(2, np.inf)
-    states = [lp.add_columns(-free, free) for _ in range(len(chain) + 1)]
-    disturbances = [lp.add_columns(-free, free) for _ in chain]
-    modes = [every.cells.mode[cell] for _, cell in chain]
-    lp.add_rows(states[0], F.H, upper=F.h)
-    for j, (points, cell) in enumerate(chain):
-        polygon, D = Polytope.from_points(points), loop.system.modes[modes[j]].disturbance
-        lp.add_rows(states[j], polygon.H, upper=polygon.h)
-        lp.add_rows(disturbances[j], D.H, upper=D.h)
-        columns = np.concatenate([states[j + 1], states[j], disturbances[j]])
-        step = np.hstack([np.eye(2), -every.M[cell], -np.eye(2)])
-        lp.add_rows(columns, step, lower=every.c[cell], upper=every.c[cell])
-    best = lp.maximize(states[-1], v).point
-    assert best is not None  # the trajectory that attains the value is feasible
-    return replay(loop, best[states[0]], modes, [best[d] for d in disturbances])
 
 
 # -- successors within X ------------------------------------------------------------------------------

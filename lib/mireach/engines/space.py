@@ -371,28 +371,36 @@ def _witness(
         d = max(loop.system.modes[mode].disturbance.vertices(), key=lambda d: float(v @ d))
         return replay(loop, x, [mode], [d])
     chain = [*piece.chain, (every.cells.complex.polytope(cell) & piece.set, cell)]
-    return _longer_witness(loop, every, F, v, chain)
+    stages = [Stage(part, int(every.cells.mode[j]), every.M[j], every.c[j]) for part, j in chain]
+    return longest(loop, F, v, stages)
 
 
-def _longer_witness(
-    loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, chain: Sequence[tuple[Polytope, int]]
-) -> Witness | None:
-    """max v x(k) over x(0) in F, x(j) in the j-th part of a chain, d(j) in D: one LP."""
+class Stage(NamedTuple):
+    """A part of a cell, as a Polytope, with the number of its mode and x+ = M x + c + d on it."""
+
+    part: Polytope
+    mode: int
+    M: Array
+    c: Array
+
+
+def longest(loop: ClosedLoop, F: Polytope, v: Array, stages: Sequence[Stage]) -> Witness | None:
+    """max v x(k) over x(0) in F, x(j) in the part of stage j, d(j) in D: one LP. None if HiGHS finds no trajectory."""
     n = len(v)
     lp, free = LinearProgram(), np.full(n, np.inf)
-    states = [lp.add_columns(-free, free) for _ in range(len(chain) + 1)]
-    disturbances = [lp.add_columns(-free, free) for _ in chain]
-    modes = [int(every.cells.mode[cell]) for _, cell in chain]
+    states = [lp.add_columns(-free, free) for _ in range(len(stages) + 1)]
+    disturbances = [lp.add_columns(-free, free) for _ in stages]
     lp.add_rows(states[0], F.H, upper=F.h)
-    for j, (part, cell) in enumerate(chain):
-        D = loop.system.modes[modes[j]].disturbance
+    for j, (part, mode, M, c) in enumerate(stages):
+        D = loop.system.modes[mode].disturbance
         lp.add_rows(states[j], part.H, upper=part.h)
         lp.add_rows(disturbances[j], D.H, upper=D.h)
         columns = np.concatenate([states[j + 1], states[j], disturbances[j]])
-        step = np.hstack([np.eye(n), -every.M[cell], -np.eye(n)])
-        lp.add_rows(columns, step, lower=every.c[cell], upper=every.c[cell])
+        lp.add_rows(columns, np.hstack([np.eye(n), -M, -np.eye(n)]), lower=c, upper=c)
     best = lp.maximize(states[-1], v).point
-    return None if best is None else replay(loop, best[states[0]], modes, [best[d] for d in disturbances])
+    if best is None:
+        return None
+    return replay(loop, best[states[0]], [stage.mode for stage in stages], [best[d] for d in disturbances])
 
 
 # -- successors within X ------------------------------------------------------------------------------
