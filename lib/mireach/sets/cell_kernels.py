@@ -5,7 +5,8 @@ of the rows that are tight there. Vertices are computed in floats and only propo
 weak duality from the rows, with its rounding counted (`_upper`).
 
 Arrays that belong together are passed as one tuple, which becomes a NamedTuple inside: numba needs several times as
-long to look at the arguments of a call where these are NamedTuples.
+long to look at the arguments of a call where these are NamedTuples. `Layers` and its layout stand in `kernels`, too,
+since kernels cannot be called across files (`compilation.Kernel`).
 """
 
 import math

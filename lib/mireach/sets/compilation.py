@@ -24,7 +24,8 @@ _PREPARING = Lock()
 class Kernel:
     """A function that numba compiles at its first call, for arguments of the types that it is called with.
 
-    Use it as a decorator. Kernels of one module may call each other.
+    Use it as a decorator. Kernels of one module may call each other, but none of another module: numba keeps compiled
+    code until the file of its function changes, and would not notice a change elsewhere.
 
     Parameters
     ----------
