@@ -100,11 +100,8 @@ class Comparison:
             step = steps.farthest_step(self.loop, self.F, v, witness.states[0], int(witness.modes[0]))
             if step is not None and step.value > limit:
                 return step
-        if _can_be_exact(self.loop, self.stopped):
-            found = exact.support_steps(self.loop, self.F, v[None], _most_cells(self.loop))
-            if found is not None and found[0].value > limit:
-                return found[0]
-        return None
+        step = highest_step(self.loop, self.F, v, self.stopped)
+        return step if step is not None and step.value > limit else None
 
 
 def compare(
@@ -185,6 +182,28 @@ def compare(
     if tol is not None and not (bound <= limit)[asked].all():
         settled = f"to within tol = {tol:g}, {settled}"
     return Comparison(loop, F, V, limit, found, bound, holds, settled, stopped)
+
+
+def highest_step(loop: ClosedLoop, F: Polytope, v: Array, stopped: str = "") -> steps.Step | None:
+    """The step from F with the largest v x+, in exact arithmetic.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    F : Polytope
+    v : array (n,)
+    stopped : str
+        Not empty if a time limit has passed already.
+
+    Returns
+    -------
+    steps.Step or None
+        None if the loop has too many cells for exact arithmetic, or F does not meet X.
+    """
+    if not _can_be_exact(loop, stopped):
+        return None
+    found = exact.support_steps(loop, F, v[None], _most_cells(loop))
+    return None if found is None else found[0]
 
 
 def _resolved(loop: ClosedLoop, found: Support, allowed: Array, tol: float | None) -> NDArray[np.bool_]:

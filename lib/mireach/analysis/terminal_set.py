@@ -7,7 +7,6 @@ from tqdm.auto import tqdm
 
 from ..arithmetic.rational import binary
 from ..checks import positive_number, whole_number
-from ..engines import exact
 from ..engines.base import Engine, Witness
 from ..engines.registry import engine_for
 from ..engines.steps import attained, farthest_step
@@ -16,7 +15,7 @@ from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..typing import Array, ArrayLike
 from .arguments import Centre, centre_point, template, tolerance, with_rows
-from .comparison import is_attained, weaker
+from .comparison import highest_step, is_attained, weaker
 from .contraction import growth, rounding, scaled
 from .reach import support
 from .rpi import require_rpi
@@ -237,7 +236,6 @@ def _attains(loop: ClosedLoop, S: Polytope, v: Array, limit: float, witness: Wit
     if value is not None and value >= exact_limit:
         return True
     step = farthest_step(loop, S, v, witness.states[0], int(witness.modes[0]))
-    if step is None and loop.system.state_size == 2:
-        steps = exact.support_steps(loop, S, v[None])
-        step = None if steps is None else steps[0]
+    if step is None:
+        step = highest_step(loop, S, v)
     return bool(step is not None and step.value >= exact_limit)
