@@ -69,7 +69,8 @@ def maxout_module(
     ['Linear', 'ReLU', 'Linear']
     """
     layers = whole_number(layers, "layers", 0)
-    width, channels = whole_number(width, "width", 1), 1 if pool is None else whole_number(pool, "pool", 1)
+    width = whole_number(width, "width", 1)
+    channels = 1 if pool is None else whole_number(pool, "pool", 1)
     seed = int(rng.integers(2**63)) if isinstance(rng, np.random.Generator) else whole_number(rng, "rng", 0)
     generator = torch.Generator().manual_seed(seed)
     parts: list[torch.nn.Module] = []

@@ -445,30 +445,30 @@ FOUR_TANKS = CaseDefinition(
     safe_directions=box_directions(4),
     starts=[[2.5, -2.5, 0, 0], [-2.5, -2.5, -1, -1], [2, 3, 1, -1]],
 )
-# The box, and sums and differences of two states in units of their limits: theta may be near its limit only where the
-# pitch rate leads away from it.
-PAIRS = octahedral_directions(3)[6:] / np.array(AIRCRAFT_STATE_LIMITS)
+# Sums and differences of two states in units of their limits: without them, theta near its limit and a pitch rate that
+# leads beyond it are never told apart.
+PITCH_PAIRS = octahedral_directions(3)[6:] / np.array(AIRCRAFT_STATE_LIMITS)
 AIRCRAFT_PITCH = CaseDefinition(
     name="aircraft_pitch",
     plant=aircraft_pitch_plant,
     disturbance_bound=AIRCRAFT_DISTURBANCE,
     shape=NetworkShape(layers=2, width=16, pool=None),
     make_data=make_aircraft_pitch_data,
-    directions=np.vstack([box_directions(3), PAIRS]),
-    safe_directions=np.vstack([box_directions(3), PAIRS]),
-    starts=[[0, 0, 12], [0, 0, 5], [0, 0, 5]],
+    directions=np.vstack([box_directions(3), PITCH_PAIRS]),
+    safe_directions=np.vstack([box_directions(3), PITCH_PAIRS]),
+    starts=[[0, 0, 19], [-10, -8, 10], [20, 0, 0]],
 )
-# Each axis is a double integrator: an octagon in each of the planes (p_i, v_i).
-PLANES = np.vstack([np.kron(directions(8), axis) for axis in np.eye(3)])
+# Each axis is a double integrator of its own: an octagon in the plane of its position and velocity.
+OCTAGONS = np.vstack([np.kron(directions(8), axis) for axis in np.eye(3)]) + 0.0
 QUADROTOR = CaseDefinition(
     name="quadrotor",
     plant=quadrotor_plant,
     disturbance_bound=QUADROTOR_DISTURBANCE,
     shape=NetworkShape(layers=2, width=8, pool=2),
     make_data=make_quadrotor_data,
-    directions=PLANES,
-    safe_directions=PLANES,
-    starts=[[1, 1, 0, 0, 0, 0], [1, 1, 0, 0, 0, 0], [1, 1, 0, 0, 0, 0]],
+    directions=OCTAGONS,
+    safe_directions=OCTAGONS,
+    starts=[[1.9, 1.9, 1.4, -1, -1, -0.5], [-1, 1, 0, 1, -1, 0], [0, 0, -1, 1.2, -1.2, 0.5]],
 )
 CASES = {case.name: case for case in (PWA, DOUBLE_INTEGRATOR, THREE_TANKS, FOUR_TANKS, AIRCRAFT_PITCH, QUADROTOR)}
 NAMES = tuple(CASES)

@@ -305,9 +305,8 @@ def quadrotor_plant(disturbance_bound: float = QUADROTOR_DISTURBANCE) -> PWASyst
 
     Notes
     -----
-    The quadrotor of [Hu2020] and [Everett2021]; g and U are those of the program that belongs to [Everett2021]. They
-    follow a path at a sampling time of 0.1 s. To hover at a point, the sampling time of 0.2 s, X and the disturbance
-    are our choice.
+    The quadrotor of [Hu2020] and [Everett2021]; g and U are those of the program that belongs to [Everett2021], which
+    samples every 0.1 s. The sampling time of 0.2 s, X and the disturbance are our choice.
 
     Examples
     --------
