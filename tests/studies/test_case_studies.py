@@ -249,6 +249,17 @@ def test_larger_bounds_dominate_dense_samples(larger):
         assert (found.bound - found.value <= 1e-6).all()
 
 
+@pytest.mark.parametrize("name", ["aircraft_pitch", "quadrotor"])
+def test_cells_milp_and_rational_arithmetic_agree_in_space(name):
+    case, terminal = mr.case_study(name), load_sets(name)[-1]
+    cells, milp, exact = (
+        mr.support(case.loop, terminal, case.directions, engine=engine) for engine in ("cells", "milp", "exact")
+    )
+    assert (cells.bound >= exact.bound).all() and (milp.bound >= exact.bound).all()
+    np.testing.assert_allclose(cells.bound, exact.bound, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(milp.value, exact.value, rtol=0, atol=1e-8)
+
+
 def test_larger_supports_agree_with_glpk(larger):
     pytest.importorskip("cvxpy")
     pytest.importorskip("cvxopt")

@@ -31,7 +31,7 @@ from .mpc import MIQPSolution, NonlinearMPC, NonlinearSolution, solve_miqp
 
 
 class Regulation(NamedTuple):
-    """An optimal control problem with Q = diag(q), R = diag(r), and as P the cost to go of the unconstrained regulator."""
+    """An optimal control problem with Q = diag(q), R = diag(r), and P the cost to go of the unconstrained regulator."""
 
     horizon: int
     q: tuple[float, ...]

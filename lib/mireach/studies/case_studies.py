@@ -445,8 +445,8 @@ FOUR_TANKS = CaseDefinition(
     safe_directions=box_directions(4),
     starts=[[2.5, -2.5, 0, 0], [-2.5, -2.5, -1, -1], [2, 3, 1, -1]],
 )
-# Sums and differences of two states in units of their limits: without them, theta near its limit and a pitch rate that
-# leads beyond it are never told apart.
+# Sums and differences of two states in units of their limits: they exclude that theta is near its limit while the pitch
+# rate leads beyond it.
 PITCH_PAIRS = octahedral_directions(3)[6:] / np.array(AIRCRAFT_STATE_LIMITS)
 AIRCRAFT_PITCH = CaseDefinition(
     name="aircraft_pitch",
