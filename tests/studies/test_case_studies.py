@@ -260,6 +260,12 @@ def test_cells_milp_and_rational_arithmetic_agree_in_space(name):
     np.testing.assert_allclose(milp.value, exact.value, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("name", ["aircraft_pitch", "quadrotor"])
+def test_safe_sets_in_space_are_proven_in_rational_arithmetic(name):
+    found = mr.check_rpi(mr.case_study(name).loop, load_sets(name)[0], "exact")
+    assert found.verdict == "proven" and found.settled == "exact arithmetic"
+
+
 def test_larger_supports_agree_with_glpk(larger):
     pytest.importorskip("cvxpy")
     pytest.importorskip("cvxopt")
