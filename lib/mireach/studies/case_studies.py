@@ -452,7 +452,7 @@ AIRCRAFT_PITCH = CaseDefinition(
     name="aircraft_pitch",
     plant=aircraft_pitch_plant,
     disturbance_bound=AIRCRAFT_DISTURBANCE,
-    shape=NetworkShape(layers=2, width=16, pool=None),
+    shape=NetworkShape(layers=2, width=16, pool=None),  # ReLU
     make_data=make_aircraft_pitch_data,
     directions=np.vstack([box_directions(3), PITCH_PAIRS]),
     safe_directions=np.vstack([box_directions(3), PITCH_PAIRS]),
