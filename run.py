@@ -9,7 +9,7 @@
     python3 run.py exercises          the students' copies of the exercises -> notebooks/exercises/release/
     python3 run.py notebooks [NAME]   execute the notebooks' .py files and keep the outputs in the .ipynb files
     python3 run.py train CASE         make the data set and the network of CASE from scratch; the cases are pwa,
-                                      double_integrator, three_tanks and four_tanks
+                                      double_integrator, three_tanks, four_tanks, aircraft_pitch and quadrotor
     python3 run.py seeds CASE         the seed study of pwa or double_integrator, on all cores or with --scheduler
                                       ADDRESS; with --analyse-only its maximal safe sets alone; a study that was
                                       interrupted is resumed

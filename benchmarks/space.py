@@ -1,9 +1,10 @@
-"""Cells of random ReLU networks with three to six states: their number, the time to build them, and that of a step.
+"""Cells of loops with three to six states: their number, the time to build them, and that of a step.
 
     python benchmarks/space.py
 
-Each loop has two modes, which meet in x_1 = 0. A step is the support function of R_1(X) and of R_1(X / 2) along all
-2 n axes. Build times are from one run (the kernels are compiled before), steps are medians of five.
+Random ReLU networks control two modes, which meet in x_1 = 0; two case studies follow. A step is the support function
+of R_1(X) and of R_1(X / 2) along all 2 n axes. Build times are from one run (the kernels are compiled before), steps
+are medians of five.
 """
 
 from statistics import median
@@ -16,6 +17,7 @@ from mireach.engines import space
 from mireach.engines.units import own_units
 
 NETWORKS = [(3, (32, 32)), (3, (32, 32, 32)), (4, (16, 16, 16)), (4, (32, 32)), (5, (16, 16)), (6, (12, 12))]
+CASES = ["aircraft_pitch", "quadrotor"]
 
 
 def relu_network(rng, n, widths):
@@ -51,17 +53,18 @@ def seconds_of(call, *arguments, **settings):
     return perf_counter() - begin
 
 
-def row_of(n, widths):
-    """The row of the table for one network."""
-    loop, V, engine = two_modes(np.random.default_rng(1), n, widths), mr.box_directions(n), mr.Cells()
+def row_of(name, loop):
+    """The row of the table for one loop."""
+    n, engine = loop.system.state_size, mr.Cells()
+    V = mr.box_directions(n)
     X, own = loop.system.state_set, own_units(loop).loop
     build = seconds_of(space.dynamics, own, engine.limit)
     mr.support(loop, X, V, engine=engine)
     whole, half = (
         1e3 * median(seconds_of(mr.support, loop, F, V, engine=engine) for _ in range(5)) for F in (X, X.scale(0.5))
     )
-    count, name = len(space.dynamics(own, engine.limit).cells), " x ".join(map(str, widths))
-    return f"| ReLU {name} | {n} | {count:,} | {build:.2f} s | {whole:.1f} ms | {half:.1f} ms |"
+    count = len(space.dynamics(own, engine.limit).cells)
+    return f"| {name} | {n} | {count:,} | {build:.2f} s | {whole:.1f} ms | {half:.1f} ms |"
 
 
 def main():
@@ -70,7 +73,9 @@ def main():
     print("| network | n | cells | build | step over X | step over X / 2 |")
     print("| --- | ---: | ---: | ---: | ---: | ---: |")
     for n, widths in NETWORKS:
-        print(row_of(n, widths))
+        print(row_of(f"ReLU {' x '.join(map(str, widths))}", two_modes(np.random.default_rng(1), n, widths)))
+    for name in CASES:
+        print(row_of(name, mr.case_study(name).loop))
 
 
 if __name__ == "__main__":

@@ -8,13 +8,21 @@ import pytest
 from mireach.errors import CorruptFileError
 from mireach.learning.datasets import (
     DataSet,
+    make_aircraft_pitch_data,
     make_double_integrator_data,
     make_four_tanks_data,
     make_pwa_data,
+    make_quadrotor_data,
     make_three_tanks_data,
 )
 from mireach.learning.mpc import NonlinearMPC, solve_miqp
-from mireach.systems.plants import double_integrator_plant, four_tanks_plant, pwa_plant
+from mireach.systems.plants import (
+    aircraft_pitch_plant,
+    double_integrator_plant,
+    four_tanks_plant,
+    pwa_plant,
+    quadrotor_plant,
+)
 
 DATA = Path(__file__).parents[2] / "data"
 FIELDS = ("states", "inputs", "costs", "infeasible")
@@ -76,7 +84,10 @@ def test_a_data_set_is_shown_by_its_sizes(sample):
     assert str(sample) == "DataSet(7 states with inputs, 3 infeasible)" and len(sample) == 7
 
 
-@pytest.mark.parametrize("make", [make_pwa_data, make_three_tanks_data, make_four_tanks_data])
+@pytest.mark.parametrize(
+    "make",
+    [make_pwa_data, make_three_tanks_data, make_four_tanks_data, make_aircraft_pitch_data, make_quadrotor_data],
+)
 def test_a_seed_and_its_generator_give_the_same_data(make):
     assert same(make(rng=5, count=3), make(rng=np.random.default_rng(5), count=3))
 
@@ -136,29 +147,43 @@ def test_shipped_double_integrator_data():
 
 @pytest.mark.parametrize(
     ("name", "make", "sizes"),
-    [("three_tanks", make_three_tanks_data, (1495, 5)), ("four_tanks", make_four_tanks_data, (2000, 0))],
+    [
+        ("three_tanks", make_three_tanks_data, (1495, 5)),
+        ("four_tanks", make_four_tanks_data, (2000, 0)),
+        ("aircraft_pitch", make_aircraft_pitch_data, (1959, 41)),
+        ("quadrotor", make_quadrotor_data, (1340, 160)),
+    ],
 )
-def test_shipped_tank_data(name, make, sizes):
+def test_shipped_data_of_more_than_two_states(name, make, sizes):
     data, made = DataSet.load(DATA / name / "samples.csv"), make(count=15, progress=False)
     assert (len(data), len(data.infeasible)) == sizes
     np.testing.assert_array_equal(made.states, data.states[: len(made)])
+    np.testing.assert_array_equal(made.infeasible, data.infeasible[: len(made.infeasible)])
     np.testing.assert_allclose(made.inputs, data.inputs[: len(made)], atol=1e-7)
     np.testing.assert_allclose(made.costs, data.costs[: len(made)], rtol=1e-9)
 
 
-def test_four_tanks_data_agree_with_a_convex_solver():
+@pytest.mark.parametrize(
+    ("name", "plant", "N", "q", "r", "limits", "largest"),
+    [
+        ("four_tanks", four_tanks_plant, 20, [1, 1, 0.1, 0.1], [5, 5], [5, 5, 1.5, 1.2], 1),
+        ("aircraft_pitch", aircraft_pitch_plant, 12, [0.01, 3, 1], [1], [25, 10, 20], 15),
+        ("quadrotor", quadrotor_plant, 10, [1, 1, 1, 0.1, 0.1, 0.1], [1, 1, 10], [2] * 6, 1),
+    ],
+)
+def test_data_of_one_mode_agree_with_a_convex_solver(name, plant, N, q, r, limits, largest):
     cp = pytest.importorskip("cvxpy")
-    data, (mode,) = DataSet.load(DATA / "four_tanks" / "samples.csv"), four_tanks_plant().modes
-    Q, R, limits = np.diag([1, 1, 0.1, 0.1]), 5 * np.eye(2), np.array([5, 5, 1.5, 1.2])
+    data, (mode,) = DataSet.load(DATA / name / "samples.csv"), plant().modes
+    Q, R = np.diag(q), np.diag(r)
     P = Q
     for _ in range(2000):  # Riccati recursion
         K = np.linalg.solve(R + mode.B.T @ P @ mode.B, mode.B.T @ P @ mode.A)
         P = Q + mode.A.T @ P @ (mode.A - mode.B @ K)
     for i in (0, 7, 123):
-        x, u = cp.Variable((21, 4)), cp.Variable((20, 2))
-        stages = [cp.quad_form(x[k], Q) + 5 * cp.sum_squares(u[k]) for k in range(20)]
-        rules = [x[k + 1] == mode.A @ x[k] + mode.B @ u[k] for k in range(20)]
-        rules += [x[0] == data.states[i], cp.abs(u) <= 1, *(cp.abs(x[k]) <= limits for k in range(21))]
-        problem = cp.Problem(cp.Minimize(sum(stages) + cp.quad_form(x[20], cp.psd_wrap((P + P.T) / 2))), rules)
+        x, u = cp.Variable((N + 1, len(q))), cp.Variable((N, len(r)))
+        stages = [cp.quad_form(x[k], Q) + cp.quad_form(u[k], R) for k in range(N)]
+        rules = [x[k + 1] == mode.A @ x[k] + mode.B @ u[k] for k in range(N)]
+        rules += [x[0] == data.states[i], cp.abs(u) <= largest, *(cp.abs(x[k]) <= limits for k in range(N + 1))]
+        problem = cp.Problem(cp.Minimize(sum(stages) + cp.quad_form(x[N], cp.psd_wrap((P + P.T) / 2))), rules)
         assert problem.solve() == pytest.approx(data.costs[i], rel=1e-5)
-        np.testing.assert_allclose(u.value[0], data.inputs[i], atol=1e-3)
+        np.testing.assert_allclose(u.value[0], data.inputs[i], atol=1e-3 * largest)

@@ -35,15 +35,22 @@ def test_maxout_by_hand():
     assert Maxout(2).pool == 2
 
 
-@pytest.mark.parametrize(("layers", "width", "pool"), [(3, 3, 3), (5, 5, 5), (1, 4, 2), (0, 1, 1)])
+@pytest.mark.parametrize(("layers", "width", "pool"), [(3, 3, 3), (5, 5, 5), (1, 4, 2), (0, 1, 1), (2, 6, None)])
 def test_module_equals_imported_network(layers, width, pool):
     module = maxout_module(2, 3, layers=layers, width=width, pool=pool, rng=3)
     x = np.random.default_rng(4).uniform(-10, 10, (500, 2))
     with torch.no_grad():
         expected = module(torch.tensor(x)).numpy()
     network = MaxoutNetwork.from_torch(module)
-    assert network.binaries == layers * width * pool
+    assert network.binaries == layers * width * (pool or 2)
     np.testing.assert_allclose(network(x), expected, atol=1e-12)
+
+
+def test_a_relu_network_is_learnt_and_keeps_its_zero_channels(data):
+    result = fit(data, width=8, pool=None, steps=150)
+    assert result.loss < 0.05 * data[1].var()
+    for layer in result.network.hidden[:2]:
+        assert layer.pool == 2 and not layer.weight[1::2].any() and not layer.bias[1::2].any()
 
 
 def test_seed_decides_the_network(data):

@@ -1,5 +1,7 @@
 """The shipped case studies, and the engines on them: the cells against the MILP and its reading version."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ BOUNDARY_POINTS = {
 }
 
 
-LARGER = ("three_tanks", "four_tanks")  # more than two states: no float cells, no vertices drawn by hand
+LARGER = {"three_tanks": "milp", "four_tanks": "milp", "aircraft_pitch": "cells", "quadrotor": "cells"}  # and an engine
 
 
 @pytest.fixture(scope="module", params=PAPER_NAMES)
@@ -38,7 +40,7 @@ def terminal(case, safe):
 
 def test_unknown_case_is_refused_with_the_names():
     assert NAMES == (*PAPER_NAMES, *LARGER)
-    with pytest.raises(ValueError, match="pwa, double_integrator, three_tanks, four_tanks"):
+    with pytest.raises(ValueError, match="pwa, double_integrator, three_tanks, four_tanks, aircraft_pitch, quadrotor"):
         mr.case_study("pwm")
 
 
@@ -58,7 +60,8 @@ def test_a_case_is_shown_as_one_line_and_as_a_table(case):
 def test_a_definition_agrees_with_the_shipped_files(name):
     definition, case = CASES[name], mr.case_study(name)
     hidden = case.network.hidden[:-2]
-    assert [(layer.width, layer.pool) for layer in hidden] == [definition.shape[1:]] * definition.shape.layers
+    layers, width, pool = definition.shape
+    assert [(layer.width, layer.pool) for layer in hidden] == [(width, pool or 2)] * layers
     assert case.starts.tolist() == definition.starts and case.paper == definition.paper
     assert (definition.fit is None) == (case.fit is None) == (case.plant is None)
     assert (definition.slider is None) == (case.system.state_size > 2)
@@ -168,10 +171,15 @@ def test_data_files_are_found(case):
 
 
 def test_larger_case_is_wired(larger):
-    n, modes, shape = {"three_tanks": (3, 4, [(5, 2)] * 2), "four_tanks": (4, 1, [(4, 3)] * 2)}[larger.name]
+    n, m, modes, rows, shape = {
+        "three_tanks": (3, 2, 4, 8, (5, 2)),
+        "four_tanks": (4, 2, 1, 8, (4, 3)),
+        "aircraft_pitch": (3, 1, 1, 18, (16, 2)),
+        "quadrotor": (6, 3, 1, 24, (8, 2)),
+    }[larger.name]
     assert larger.system.state_size == n and len(larger.system.modes) == modes and larger.paper == {}
-    assert [(layer.width, layer.pool) for layer in larger.network.hidden] == [*shape, (2, 2), (2, 2)]
-    assert larger.directions.shape == larger.safe_directions.shape == (8, n) and larger.starts.shape == (3, n)
+    assert [(layer.width, layer.pool) for layer in larger.network.hidden] == [shape, shape, (m, 2), (m, 2)]
+    assert larger.directions.shape == larger.safe_directions.shape == (rows, n) and larger.starts.shape == (3, n)
     lower, upper = larger.system.modes[0].disturbance.bounding_box()
     np.testing.assert_array_equal([lower, upper], np.outer([-1, 1], [larger.disturbance_bound] * n))
 
@@ -185,10 +193,23 @@ def test_larger_network_stays_in_U_and_has_learnt_the_data(larger):
     assert error < 1e-3 * larger.data.inputs.var()
 
 
-def test_larger_sets_are_proven_by_the_milp(larger):
+def test_the_aircraft_has_a_relu_network():
+    for layer in mr.case_study("aircraft_pitch").network.hidden[:2]:
+        assert not layer.weight[1::2].any() and not layer.bias[1::2].any()
+
+
+def corners(F):
+    """The vertices of F: array (v, n). In R^6, F is the product of three polygons in the planes (x_i, x_(i+3))."""
+    if F.dimension < 6:
+        return F.vertices()
+    octagons = [F.section((i, i + 3)).vertices() for i in range(3)]
+    return np.array(list(product(*octagons))).transpose(0, 2, 1).reshape(-1, 6)
+
+
+def test_larger_sets_are_proven(larger):
     safe, *_, terminal = load_sets(larger.name)
     for F in (safe, terminal):
-        assert mr.check_rpi(larger.loop, F, "milp").verdict == "proven"
+        assert mr.check_rpi(larger.loop, F, LARGER[larger.name]).verdict == "proven"
     assert terminal.is_subset(safe) and safe.is_subset(larger.system.state_set)
     assert safe.contains(larger.starts).all()
     assert terminal.contains(safe.sample(np.random.default_rng(0), 20_000)).mean() < 0.1
@@ -197,7 +218,7 @@ def test_larger_sets_are_proven_by_the_milp(larger):
 def test_larger_trajectories_stay_in_the_safe_set_and_enter_the_terminal_set(larger):
     safe, *_, terminal = load_sets(larger.name)
     rng, n, steps = np.random.default_rng(1), larger.system.state_size, 150
-    x0 = np.vstack([safe.sample(rng, 300), safe.vertices(), larger.starts])
+    x0 = np.vstack([safe.sample(rng, 300), corners(safe), larger.starts])
     held = rng.choice([-1.0, 1.0], (len(x0), 1, n)).repeat(steps, axis=1)  # the same corner of D all the time, or any
     drawn = rng.choice([-1.0, 1.0], (len(x0), steps, n))
     for signs in (held, drawn):
@@ -218,14 +239,31 @@ def test_larger_bounds_dominate_dense_samples(larger):
     safe, *_, terminal = load_sets(larger.name)
     rng, C = np.random.default_rng(3), larger.directions[:: 3 if larger.name == "three_tanks" else 1]
     for F in (safe, terminal):
-        x = np.vstack([F.sample(rng, 20_000), F.vertices()])
+        x = np.vstack([F.sample(rng, 20_000), corners(F)])
         modes, u = larger.system.modes, larger.network(x)
         inside = larger.system.violation(x, u) <= 0  # on shared boundaries every mode that contains the point counts
         reached = [mode.successor(x, u)[inside[:, i]] for i, mode in enumerate(modes)]
         sampled = (np.vstack(reached) @ C.T).max(axis=0) + modes[0].disturbance.support(C)
-        found = mr.support(larger.loop, F, C, engine="milp")
+        found = mr.support(larger.loop, F, C, engine=LARGER[larger.name])
         assert (found.bound >= sampled).all() and (found.value >= sampled - 1e-7).all()
         assert (found.bound - found.value <= 1e-6).all()
+
+
+@pytest.mark.parametrize("name", ["aircraft_pitch", "quadrotor"])
+def test_cells_milp_and_rational_arithmetic_agree_in_space(name):
+    case, terminal = mr.case_study(name), load_sets(name)[-1]
+    cells, milp, exact = (
+        mr.support(case.loop, terminal, case.directions, engine=engine) for engine in ("cells", "milp", "exact")
+    )
+    assert (cells.bound >= exact.bound).all() and (milp.bound >= exact.bound).all()
+    np.testing.assert_allclose(cells.bound, exact.bound, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(milp.value, exact.value, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["aircraft_pitch", "quadrotor"])
+def test_safe_sets_in_space_are_proven_in_rational_arithmetic(name):
+    found = mr.check_rpi(mr.case_study(name).loop, load_sets(name)[0], "exact")
+    assert found.verdict == "proven" and found.settled == "exact arithmetic"
 
 
 def test_larger_supports_agree_with_glpk(larger):
@@ -238,10 +276,11 @@ def test_larger_supports_agree_with_glpk(larger):
     np.testing.assert_allclose(found.value, glpk.value, atol=1e-6)
 
 
-def test_four_tanks_sets_are_found_again():
-    case = mr.case_study("four_tanks")
-    safe = mr.safe_set(case.loop, case.safe_directions, engine="milp")
-    stored = load_sets("four_tanks")[0]
+@pytest.mark.parametrize("name", ["four_tanks", "aircraft_pitch", "quadrotor"])
+def test_larger_safe_set_is_found_again(name):
+    case = mr.case_study(name)
+    safe = mr.safe_set(case.loop, case.safe_directions, engine=LARGER[name])
+    stored = load_sets(name)[0]
     assert safe.verdict == "proven" and safe.iterations > 0
     np.testing.assert_allclose(safe.set.support(stored.H), stored.support(stored.H), atol=1e-6)
 

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mireach.systems.plants import chessboard, double_integrator_plant, four_tanks_plant, pwa_plant, three_tanks_plant
+from mireach.systems.plants import (
+    aircraft_pitch_plant,
+    chessboard,
+    double_integrator_plant,
+    four_tanks_plant,
+    pwa_plant,
+    quadrotor_plant,
+    three_tanks_plant,
+)
 
 
 def quadrant_successor(x, u):
@@ -87,6 +95,44 @@ def test_four_tanks_time_constants_are_the_paper_s():
     np.testing.assert_array_equal(np.floor(-5 / decay).astype(int), [62, 90, 23, 29])  # the paper prints 62, 90, 23, 30
 
 
+def aircraft_pitch_successor(x, u):
+    """Case 5 in radians, by its differential equations; half a second later, in degrees."""
+    alpha, rate, theta = np.radians(x)
+    delta = np.radians(u[0])
+
+    def derivative(_, z):
+        return [
+            -0.313 * z[0] + 56.7 * z[1] + 0.232 * delta,
+            -0.0139 * z[0] - 0.426 * z[1] + 0.0203 * delta,
+            56.7 * z[1],
+        ]
+
+    alpha, q, theta = solve_ivp(derivative, (0, 0.5), [alpha, rate / 56.7, theta], rtol=1e-12, atol=1e-13).y[:, -1]
+    return np.degrees([alpha, 56.7 * q, theta])
+
+
+def test_aircraft_pitch_is_that_of_its_differential_equations():
+    system, rng = aircraft_pitch_plant(), np.random.default_rng(0)
+    (mode,) = system.modes
+    for x, u in zip(system.state_set.sample(rng, 5), system.input_set.sample(rng, 5)):
+        np.testing.assert_allclose(mode.successor(x, u), aircraft_pitch_successor(x, u), atol=1e-9)
+
+
+def test_aircraft_pitch_has_the_printed_denominator():
+    poles = np.log(np.linalg.eigvals(aircraft_pitch_plant().modes[0].A).astype(complex)) / 0.5
+    np.testing.assert_allclose(np.poly(poles), [1, 0.739, 0.921, 0], atol=5e-4)  # s^3 + 0.739 s^2 + 0.921 s
+
+
+def test_quadrotor_accelerates_by_its_tilt_and_its_thrust():
+    system, rng, T = quadrotor_plant(), np.random.default_rng(0), 0.2
+    (mode,) = system.modes
+    for x, u in zip(system.state_set.sample(rng, 20), system.input_set.sample(rng, 20)):
+        p, v, (tan_pitch, tan_roll), thrust = x[:3], x[3:], u[:2] * np.pi / 9, 9.8 + 9.8 * u[2]
+        a = np.array([9.8 * tan_pitch, -9.8 * tan_roll, thrust - 9.8])
+        assert 0 <= thrust <= 2 * 9.8
+        np.testing.assert_allclose(mode.successor(x, u), [*(p + T * v + T**2 / 2 * a), *(v + T * a)], atol=1e-12)
+
+
 @pytest.mark.parametrize("bound", [0.15, 0.0, 0.3])
 def test_pwa_plant_sets(bound):
     system = pwa_plant(bound)
@@ -96,7 +142,9 @@ def test_pwa_plant_sets(bound):
     np.testing.assert_array_equal(system.input_set.bounding_box(), [[-1], [1]])
 
 
-@pytest.mark.parametrize("plant", [pwa_plant, three_tanks_plant, four_tanks_plant])
+@pytest.mark.parametrize(
+    "plant", [pwa_plant, three_tanks_plant, four_tanks_plant, aircraft_pitch_plant, quadrotor_plant]
+)
 def test_plants_refuse_a_negative_bound(plant):
     with pytest.raises(ValueError, match="disturbance_bound"):
         plant(-0.1)

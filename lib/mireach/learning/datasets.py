@@ -16,7 +16,14 @@ from ..checks import real_array, require_columns, whole_number
 from ..errors import CorruptFileError, MireachError
 from ..files import END, write_whole
 from ..sets.polytope import Polytope
-from ..systems.plants import double_integrator_plant, four_tanks_plant, pwa_plant, three_tanks_plant
+from ..systems.plants import (
+    aircraft_pitch_plant,
+    double_integrator_plant,
+    four_tanks_plant,
+    pwa_plant,
+    quadrotor_plant,
+    three_tanks_plant,
+)
 from ..systems.pwa import PWASystem
 from ..typing import Array, ArrayLike
 from ..workers import in_parallel
@@ -24,15 +31,17 @@ from .mpc import MIQPSolution, NonlinearMPC, NonlinearSolution, solve_miqp
 
 
 class Regulation(NamedTuple):
-    """An optimal control problem with Q = diag(q), R = r I, and as P the cost to go of the unconstrained regulator."""
+    """An optimal control problem with Q = diag(q), R = diag(r), and P the cost to go of the unconstrained regulator."""
 
     horizon: int
     q: tuple[float, ...]
-    r: float
+    r: tuple[float, ...]
 
 
-THREE_TANKS = Regulation(horizon=8, q=(0.1, 0.1, 1.0), r=10.0)
-FOUR_TANKS = Regulation(horizon=20, q=(1.0, 1.0, 0.1, 0.1), r=5.0)
+THREE_TANKS = Regulation(horizon=8, q=(0.1, 0.1, 1.0), r=(10.0, 10.0))
+FOUR_TANKS = Regulation(horizon=20, q=(1.0, 1.0, 0.1, 0.1), r=(5.0, 5.0))
+AIRCRAFT_PITCH = Regulation(horizon=12, q=(0.01, 3.0, 1.0), r=(1.0,))
+QUADROTOR = Regulation(horizon=10, q=(1.0, 1.0, 1.0, 0.1, 0.1, 0.1), r=(1.0, 1.0, 10.0))
 CHUNKS = 40  # of states, each one task of a process
 
 Solutions: TypeAlias = Sequence[MIQPSolution | NonlinearSolution]
@@ -235,6 +244,42 @@ def make_four_tanks_data(
     return _collect(_uniform(four_tanks_plant().state_set, rng, count), _solve_four_tanks, progress, jobs)
 
 
+def make_aircraft_pitch_data(
+    rng: np.random.Generator | int = 0, count: int = 2000, *, progress: bool = False, jobs: int = 1
+) -> DataSet:
+    """The QP of the aircraft's pitch at random states: Q = diag(0.01, 3, 1), R = 1, N = 12, P of the optimal regulator.
+
+    Parameters
+    ----------
+    rng, count, progress, jobs
+        As in `make_pwa_data`, which also says what is raised.
+
+    Returns
+    -------
+    DataSet
+    """
+    return _collect(_uniform(aircraft_pitch_plant().state_set, rng, count), _solve_aircraft_pitch, progress, jobs)
+
+
+def make_quadrotor_data(
+    rng: np.random.Generator | int = 0, count: int = 1500, *, progress: bool = False, jobs: int = 1
+) -> DataSet:
+    """The QP of the quadrotor at random states.
+
+    Q = diag(1, 1, 1, 0.1, 0.1, 0.1), R = diag(1, 1, 10), N = 10, P of the optimal regulator.
+
+    Parameters
+    ----------
+    rng, count, progress, jobs
+        As in `make_pwa_data`, which also says what is raised.
+
+    Returns
+    -------
+    DataSet
+    """
+    return _collect(_uniform(quadrotor_plant().state_set, rng, count), _solve_quadrotor, progress, jobs)
+
+
 def _solve_pwa(states: Array, show: Show) -> Solutions:
     """Solutions of case study 1."""
     system = pwa_plant()
@@ -257,9 +302,19 @@ def _solve_four_tanks(states: Array, show: Show) -> Solutions:
     return _solve_regulation(four_tanks_plant(), FOUR_TANKS, show(states))
 
 
+def _solve_aircraft_pitch(states: Array, show: Show) -> Solutions:
+    """Solutions of the aircraft's pitch."""
+    return _solve_regulation(aircraft_pitch_plant(), AIRCRAFT_PITCH, show(states))
+
+
+def _solve_quadrotor(states: Array, show: Show) -> Solutions:
+    """Solutions of the quadrotor."""
+    return _solve_regulation(quadrotor_plant(), QUADROTOR, show(states))
+
+
 def _solve_regulation(system: PWASystem, problem: Regulation, states: Iterable[Array]) -> Solutions:
     """Solutions of a regulation problem; P is that of the first mode."""
-    Q, R = np.diag(problem.q), problem.r * np.eye(system.input_size)
+    Q, R = np.diag(problem.q), np.diag(problem.r)
     P = solve_discrete_are(system.modes[0].A, system.modes[0].B, Q, R)
     return [solve_miqp(system, x, problem.horizon, Q, R, P) for x in states]
 

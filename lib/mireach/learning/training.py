@@ -31,24 +31,26 @@ def maxout_module(
     *,
     layers: int,
     width: int,
-    pool: int,
+    pool: int | None,
     rng: np.random.Generator | int = 0,
 ) -> torch.nn.Sequential:
-    """A maxout network as torch modules, in double precision.
+    """A maxout or ReLU network as torch modules, in double precision.
 
     Parameters
     ----------
     inputs, outputs : int
         n and m.
-    layers, width, pool : int
-        l, w_i and p_i of Sec. II.A.
+    layers, width : int
+        l and w_i of Sec. II.A.
+    pool : int or None
+        p_i of Sec. II.A; None is a plain ReLU network, whose neurons are max(z, 0).
     rng : numpy.random.Generator or int
         Draws the weights; an int is the seed of torch's generator.
 
     Returns
     -------
     torch.nn.Sequential
-        Linear and Maxout in turn, and a last Linear.
+        Linear and Maxout (or ReLU) in turn, and a last Linear.
 
     Raises
     ------
@@ -63,15 +65,19 @@ def maxout_module(
     --------
     >>> [type(part).__name__ for part in maxout_module(2, 1, layers=1, width=3, pool=2)]
     ['Linear', 'Maxout', 'Linear']
+    >>> [type(part).__name__ for part in maxout_module(2, 1, layers=1, width=3, pool=None)]
+    ['Linear', 'ReLU', 'Linear']
     """
     layers = whole_number(layers, "layers", 0)
-    width, pool = whole_number(width, "width", 1), whole_number(pool, "pool", 1)
+    width = whole_number(width, "width", 1)
+    channels = 1 if pool is None else whole_number(pool, "pool", 1)
     seed = int(rng.integers(2**63)) if isinstance(rng, np.random.Generator) else whole_number(rng, "rng", 0)
     generator = torch.Generator().manual_seed(seed)
     parts: list[torch.nn.Module] = []
     size = whole_number(inputs, "inputs", 1)
     for _ in range(layers):
-        parts += [_linear(size, width * pool, generator), Maxout(pool)]
+        neurons = torch.nn.ReLU() if pool is None else Maxout(channels)
+        parts += [_linear(size, width * channels, generator), neurons]
         size = width
     return torch.nn.Sequential(*parts, _linear(size, whole_number(outputs, "outputs", 1), generator))
 
@@ -104,7 +110,7 @@ def train(
     *,
     layers: int,
     width: int,
-    pool: int,
+    pool: int | None,
     lower: ArrayLike,
     upper: ArrayLike,
     rng: np.random.Generator | int = 0,
@@ -112,14 +118,16 @@ def train(
     learning_rate: float = 0.01,
     progress: bool = False,
 ) -> TrainingResult:
-    """Fit a maxout network to states and inputs, by the mean squared error of its output clipped to U.
+    """Fit a maxout or ReLU network to states and inputs, by the mean squared error of its output clipped to U.
 
     Parameters
     ----------
     states : array (N, n)
     inputs : array (N, m)
-    layers, width, pool : int
-        l, w_i and p_i of Sec. II.A.
+    layers, width : int
+        l and w_i of Sec. II.A.
+    pool : int or None
+        p_i of Sec. II.A; None trains a plain ReLU network. In the result its neurons have the two channels z and 0.
     lower, upper : array (m,) or float
         The input box U to which the network is saturated, in units of u.
     rng : numpy.random.Generator or int
@@ -160,6 +168,8 @@ def train(
     MaxoutNetwork(1 -> [2x2, 1x2, 1x2] -> 1, 8 binaries)
     >>> result.loss < 0.1
     True
+    >>> train(x, np.abs(x), layers=1, width=4, pool=None, lower=0, upper=1, steps=1).network
+    MaxoutNetwork(1 -> [4x2, 1x2, 1x2] -> 1, 12 binaries)
     """
     states, inputs = real_array(states, "states", 2), real_array(inputs, "inputs", 2)
     if len(states) != len(inputs) or not len(states):

@@ -1,7 +1,7 @@
 """The case studies: what defines each of them, and how plant, network, loop, templates and data are put together.
 
-`pwa` and `double_integrator` are those of Sec. V of [Teichrib2025], with its numbers; `three_tanks` and `four_tanks`
-have more than two states, where the MILP is the method, and exact cells settle what it leaves in doubt.
+`pwa` and `double_integrator` are those of Sec. V of [Teichrib2025], with its numbers; `three_tanks`, `four_tanks`,
+`aircraft_pitch` and `quadrotor` have three to six states.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,25 +19,32 @@ from ..errors import CorruptFileError
 from ..files import read_json
 from ..learning.datasets import (
     DataSet,
+    make_aircraft_pitch_data,
     make_double_integrator_data,
     make_four_tanks_data,
     make_pwa_data,
+    make_quadrotor_data,
     make_three_tanks_data,
 )
 from ..sets.polytope import Polytope
-from ..sets.templates import box_directions, directions
+from ..sets.templates import box_directions, directions, octahedral_directions
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
 from ..systems.nonlinear import NonlinearSystem
 from ..systems.plants import (
+    AIRCRAFT_DISTURBANCE,
+    AIRCRAFT_STATE_LIMITS,
     FOUR_TANKS_DISTURBANCE,
     INTEGRATOR_DISTURBANCE,
     PWA_DISTURBANCE,
+    QUADROTOR_DISTURBANCE,
     THREE_TANKS_DISTURBANCE,
+    aircraft_pitch_plant,
     chessboard,
     double_integrator_plant,
     four_tanks_plant,
     pwa_plant,
+    quadrotor_plant,
     three_tanks_plant,
 )
 from ..systems.pwa import PWASystem
@@ -48,11 +55,14 @@ EPSILON = 1e-3  # of eq. (25), TerminationFmin, as in the paper
 
 
 class NetworkShape(NamedTuple):
-    """Hidden layers of a maxout network without its saturation: how many, neurons per layer, channels per neuron."""
+    """Hidden layers of a network without its saturation: how many, neurons per layer, channels per neuron.
+
+    `pool` is None for a ReLU network, whose neurons have the two channels z and 0.
+    """
 
     layers: int
     width: int
-    pool: int
+    pool: int | None
 
 
 class AmountSlider(NamedTuple):
@@ -207,11 +217,11 @@ class CaseStudy:
 
 
 def case_study(name: str, network: Any = None) -> CaseStudy:
-    """A case study: one of the paper's two, or one of the two with more states.
+    """A case study: one of the paper's two, or one of those with three to six states.
 
     Parameters
     ----------
-    name : "pwa", "double_integrator", "three_tanks" or "four_tanks"
+    name : "pwa", "double_integrator", "three_tanks", "four_tanks", "aircraft_pitch" or "quadrotor"
     network : MaxoutNetwork, torch module or None
         None is the network that ships with the package.
 
@@ -437,7 +447,32 @@ FOUR_TANKS = CaseDefinition(
     starts=[[2.5, -2.5, 0, 0], [-2.5, -2.5, -1, -1], [2, 3, 1, -1]],
     figures=("four_tanks",),
 )
-CASES = {case.name: case for case in (PWA, DOUBLE_INTEGRATOR, THREE_TANKS, FOUR_TANKS)}
+# Sums and differences of two states in units of their limits: they exclude that theta is near its limit while the pitch
+# rate leads beyond it.
+PITCH_PAIRS = octahedral_directions(3)[6:] / np.array(AIRCRAFT_STATE_LIMITS)
+AIRCRAFT_PITCH = CaseDefinition(
+    name="aircraft_pitch",
+    plant=aircraft_pitch_plant,
+    disturbance_bound=AIRCRAFT_DISTURBANCE,
+    shape=NetworkShape(layers=2, width=16, pool=None),  # ReLU
+    make_data=make_aircraft_pitch_data,
+    directions=np.vstack([box_directions(3), PITCH_PAIRS]),
+    safe_directions=np.vstack([box_directions(3), PITCH_PAIRS]),
+    starts=[[0, 0, 19], [-10, -8, 10], [20, 0, 0]],
+)
+# Each axis is a double integrator of its own: an octagon in the plane of its position and velocity.
+OCTAGONS = np.vstack([np.kron(directions(8), axis) for axis in np.eye(3)]) + 0.0
+QUADROTOR = CaseDefinition(
+    name="quadrotor",
+    plant=quadrotor_plant,
+    disturbance_bound=QUADROTOR_DISTURBANCE,
+    shape=NetworkShape(layers=2, width=8, pool=2),
+    make_data=make_quadrotor_data,
+    directions=OCTAGONS,
+    safe_directions=OCTAGONS,
+    starts=[[1.9, 1.9, 1.4, -1, -1, -0.5], [-1, 1, 0, 1, -1, 0], [0, 0, -1, 1.2, -1.2, 0.5]],
+)
+CASES = {case.name: case for case in (PWA, DOUBLE_INTEGRATOR, THREE_TANKS, FOUR_TANKS, AIRCRAFT_PITCH, QUADROTOR)}
 NAMES = tuple(CASES)
 PAPER_NAMES = tuple(name for name, case in CASES.items() if case.paper)
 REPORTED = tuple(name for name, case in CASES.items() if case.figures)

@@ -501,7 +501,7 @@ def retrain(name: str, seed: int | None = None, folder: str | Path | None = None
         None is the seed whose network is shipped: that of the study, or 0 for a case without one.
     folder : str, Path or None
         Where samples.csv and network.json are written, and certificate.json for a case with more than two states,
-        with the bounds of the MILP; None is the case's folder in `data`.
+        with the bounds of the default engine; None is the case's folder in `data`.
     progress : bool
 
     Returns

@@ -1,7 +1,7 @@
 """The plants of the case studies; each of their numbers is written here, once.
 
-`pwa` and `double_integrator` are those of Sec. V of [Teichrib2025], `three_tanks` and `four_tanks` two benchmarks of
-process control with more than two states.
+`pwa` and `double_integrator` are those of Sec. V of [Teichrib2025]. The others have more than two states: `three_tanks`
+and `four_tanks`, two benchmarks of process control, and the linear models `aircraft_pitch` and `quadrotor`.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ from scipy.linalg import expm
 
 from ..checks import whole_number
 from ..sets.polytope import Polytope
+from ..typing import Array
 from .nonlinear import NonlinearSystem
 from .pwa import Mode, PWASystem
 
@@ -57,6 +58,23 @@ FOUR_TANKS_SAMPLING = 5.0  # s
 FOUR_TANKS_STATE_LIMITS = (5.0, 5.0, 1.5, 1.2)  # |x_i|, cm
 FOUR_TANKS_INPUT_LIMIT = 1.0  # |u|, V
 FOUR_TANKS_DISTURBANCE = 0.05  # |d|_inf, cm
+
+# Case 5, the pitch of an airliner [ControlTutorials]: d/dt (alpha, q, theta) for the elevator delta, in rad and s.
+AIRCRAFT_A = ((-0.313, 56.7, 0.0), (-0.0139, -0.426, 0.0), (0.0, 56.7, 0.0))
+AIRCRAFT_B = (0.232, 0.0203, 0.0)
+# Ours, in degrees and s.
+AIRCRAFT_SAMPLING = 0.5
+AIRCRAFT_STATE_LIMITS = (25.0, 10.0, 20.0)  # |alpha|, |dtheta/dt|, |theta|
+AIRCRAFT_INPUT_LIMIT = 15.0  # |delta|
+AIRCRAFT_DISTURBANCE = 0.1  # |d|_inf
+
+# Case 6, the quadrotor with six states of [Hu2020, Everett2021], in m and s.
+QUADROTOR_GRAVITY = 9.8  # m/s^2
+QUADROTOR_TILT = np.pi / 9  # largest |tan(pitch)| and |tan(roll)|; the thrust lies between 0 and twice the weight
+# Ours: the sampling time is twice that of the benchmark.
+QUADROTOR_SAMPLING = 0.2  # s
+QUADROTOR_STATE_LIMIT = 2.0  # |position|, m, and |velocity|, m/s, along each axis
+QUADROTOR_DISTURBANCE = 0.02  # |d|_inf, m and m/s
 
 GRAVITY = 981.0  # cm/s^2
 
@@ -203,7 +221,6 @@ def four_tanks_plant(disturbance_bound: float = FOUR_TANKS_DISTURBANCE) -> PWASy
     >>> four_tanks_plant()
     PWASystem(1 mode, 4 states, 2 inputs)
     """
-    D = _cube(_bound(disturbance_bound), 4)
     area, outlet, level = map(np.array, (FOUR_TANKS_AREAS, FOUR_TANKS_OUTLETS, FOUR_TANKS_LEVELS))
     rate = outlet / area / np.sqrt(2 * level / GRAVITY)  # 1 / T_i
     (k1, k2), (gamma1, gamma2) = FOUR_TANKS_PUMPS, FOUR_TANKS_VALVES
@@ -211,10 +228,96 @@ def four_tanks_plant(disturbance_bound: float = FOUR_TANKS_DISTURBANCE) -> PWASy
     A[0, 2], A[1, 3] = area[2] * rate[2] / area[0], area[3] * rate[3] / area[1]
     B[[0, 3], 0] = gamma1 * k1 / area[0], (1 - gamma1) * k1 / area[3]
     B[[1, 2], 1] = gamma2 * k2 / area[1], (1 - gamma2) * k2 / area[2]
-    sampled = expm(FOUR_TANKS_SAMPLING * np.block([[A, B], [np.zeros((2, 6))]]))[:4]
-    mode = Mode(sampled[:, :4], sampled[:, 4:], np.zeros(4), Polytope(np.zeros((1, 6)), np.ones(1)), D)
+    mode = _sampled(A, B, FOUR_TANKS_SAMPLING, disturbance_bound)
     limits = np.array(FOUR_TANKS_STATE_LIMITS)
     return PWASystem([mode], Polytope.box(-limits, limits), _cube(FOUR_TANKS_INPUT_LIMIT, 2))
+
+
+def aircraft_pitch_plant(disturbance_bound: float = AIRCRAFT_DISTURBANCE) -> PWASystem:
+    """The pitch of an airliner in cruise under its elevator: n = 3, m = 1, one mode.
+
+    The linearised longitudinal motion at constant speed, with angle of attack alpha, pitch angle theta and elevator
+    deflection delta, where 56.7 q = dtheta/dt is the pitch rate:
+
+        dalpha/dt = -0.313 alpha + 56.7 q + 0.232 delta,   dq/dt = -0.0139 alpha - 0.426 q + 0.0203 delta,
+
+    sampled exactly while delta is held.
+
+    Parameters
+    ----------
+    disturbance_bound : float
+        D = {d : |d|_inf <= disturbance_bound}, in degrees and degrees per second.
+
+    Returns
+    -------
+    PWASystem
+        x = (alpha, dtheta/dt, theta), the deviations from steady flight in degrees and degrees per second, and
+        u = delta in degrees.
+
+    Raises
+    ------
+    ValueError
+        If the bound is negative.
+
+    Notes
+    -----
+    The coefficients are those of the example *Aircraft Pitch* of [ControlTutorials], from data of a Boeing airliner.
+    The model is linear, so that it is the same in radians and in degrees. The pitch rate as a state in place of q, the
+    sampling time, X, U and the disturbance are our choice.
+
+    Examples
+    --------
+    >>> aircraft_pitch_plant()
+    PWASystem(1 mode, 3 states, 1 input)
+    """
+    units = np.array([1.0, AIRCRAFT_A[2][1], 1.0])  # from (alpha, q, theta) to (alpha, dtheta/dt, theta)
+    A, B = units[:, None] * np.array(AIRCRAFT_A) / units, units[:, None] * np.array(AIRCRAFT_B)[:, None]
+    mode = _sampled(A, B, AIRCRAFT_SAMPLING, disturbance_bound)
+    limits = np.array(AIRCRAFT_STATE_LIMITS)
+    return PWASystem([mode], Polytope.box(-limits, limits), _cube(AIRCRAFT_INPUT_LIMIT, 1))
+
+
+def quadrotor_plant(disturbance_bound: float = QUADROTOR_DISTURBANCE) -> PWASystem:
+    """A quadrotor whose attitude is controlled by itself: n = 6, m = 3, one mode.
+
+    The acceleration of the position p in R^3 is given by the pitch angle theta, the roll angle phi and the thrust tau
+    per mass,
+
+        d^2p/dt^2 = (g tan theta, -g tan phi, tau - g),
+
+    with |tan theta|, |tan phi| <= pi / 9 and 0 <= tau <= 2 g, sampled exactly while these are held.
+
+    Parameters
+    ----------
+    disturbance_bound : float
+        D = {d : |d|_inf <= disturbance_bound}, in m and m/s.
+
+    Returns
+    -------
+    PWASystem
+        x = (p, dp/dt) relative to the point where it hovers, and u = (tan theta, tan phi, tau - g) in units of their
+        largest values (pi / 9, pi / 9, g).
+
+    Raises
+    ------
+    ValueError
+        If the bound is negative.
+
+    Notes
+    -----
+    The quadrotor of [Hu2020] and [Everett2021]; g and U are those of the program that belongs to [Everett2021], which
+    samples every 0.1 s. The sampling time of 0.2 s, X and the disturbance are our choice.
+
+    Examples
+    --------
+    >>> quadrotor_plant()
+    PWASystem(1 mode, 6 states, 3 inputs)
+    """
+    g = QUADROTOR_GRAVITY
+    A, B = np.zeros((6, 6)), np.zeros((6, 3))
+    A[:3, 3:], B[3:] = np.eye(3), np.diag([g * QUADROTOR_TILT, -g * QUADROTOR_TILT, g])
+    mode = _sampled(A, B, QUADROTOR_SAMPLING, disturbance_bound)
+    return PWASystem([mode], _cube(QUADROTOR_STATE_LIMIT, 6), _cube(1.0, 3))
 
 
 def chessboard(state_set: Polytope, input_set: Polytope, cells: int = 3) -> list[Polytope]:
@@ -255,6 +358,14 @@ def _bound(disturbance_bound: float) -> float:
     if not disturbance_bound >= 0:
         raise ValueError(f"disturbance_bound must be at least 0; got {disturbance_bound}")
     return disturbance_bound
+
+
+def _sampled(A: Array, B: Array, time: float, disturbance_bound: float) -> Mode:
+    """dx/dt = A x + B u after `time` with u held: the only Mode of its system, with |d|_inf <= disturbance_bound."""
+    n, m = B.shape
+    sampled = expm(time * np.block([[A, B], [np.zeros((m, n + m))]]))[:n]
+    everywhere = Polytope(np.zeros((1, n + m)), np.ones(1))
+    return Mode(sampled[:, :n], sampled[:, n:], np.zeros(n), everywhere, _cube(_bound(disturbance_bound), n))
 
 
 def _cube(limit: float, n: int) -> Polytope:
