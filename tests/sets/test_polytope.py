@@ -1,6 +1,7 @@
 """Polytopes against qhull and formulas: hulls, vertices, sizes, samples, files, and bad arguments."""
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
@@ -62,6 +63,18 @@ def test_vertices_of_points_and_segments():
     corners = Polytope.from_points(ends).vertices()
     np.testing.assert_allclose(corners[np.argsort(corners[:, 0])], ends, atol=1e-12)
     assert len(Polytope.box([0, 0, 0], [1, 0, 0]).vertices()) == 2
+
+
+def test_vertices_of_a_product_are_those_of_its_factors():
+    """Three octagons in R^6, whose rows meet in many nearly singular ways."""
+    P = Polytope(np.vstack([np.kron(directions(8), axis) for axis in np.eye(3)]), np.ones(24))  # (x_i, x_(i + 3))
+    octagon = Polytope(directions(8), np.ones(8)).vertices()
+    expected = [np.ravel(corners, order="F") for corners in product(octagon, repeat=3)]
+    found = P.vertices()
+    assert found.shape == (512, 6)
+    np.testing.assert_allclose(
+        found[np.lexsort(found.T)], np.array(expected)[np.lexsort(np.transpose(expected))], atol=1e-12
+    )
 
 
 # -- intersection, scaling, samples --------------------------------------------------------------------

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, islice
-from math import comb
+from itertools import combinations
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import highspy
@@ -25,14 +24,13 @@ from ..errors import SolverError
 from ..solvers.linear_program import LinearProgram
 from ..tolerances import EXPRESSION, NEAR_VERTEX, PARALLEL_ROWS, SINGULAR_ROWS, SMALLEST, TOUCH
 from ..typing import Array, ArrayLike, IntArray
+from .exact_polytopes import ExactPolytope
 from .kernels import EMPTY, FAT, around, dual_bounds, in_units, inclusion, membership, polygon
 
 Rational: TypeAlias = Any  # an fmpq of python-flint, which has no types
 
-CHUNK = 4_000_000  # numbers that the enumeration of vertices handles at a time
-MANY = 256  # rows in the plane up to which all vertices are computed when one is needed
-MOST_SINGULAR = 40_000  # of those that the enumeration is willing to look at over the rationals
-MOST_VERTEX_CANDIDATES = 2_000_000  # subsets of rows that the enumeration is willing to try
+MANY = 256  # rows in the plane up to which all pairs are tried, and all vertices are computed when one is needed
+MOST_VERTICES = 2_000  # of the sets that are cut row by row to find vertices; they take some seconds
 
 
 class _Plane(NamedTuple):
@@ -670,7 +668,7 @@ class ConvexSet:
             return self._plane.corners
         if self.is_empty:
             return np.zeros((0, self.dimension))
-        self._require_enumerable()
+        self._require_bounded()
         points = self._nearest_corners
         if not np.isfinite(points).all():
             raise ValueError("a vertex lies beyond the largest float; choose another unit, or use exact_maximum()")
@@ -681,26 +679,19 @@ class ConvexSet:
         """The vertices of a bounded set without rounding: list of tuples of n fmpq."""
         if self.is_empty:
             return []
-        self._require_enumerable()
+        self._require_bounded()
         return [*self._corners]
 
-    @property
-    def _is_enumerable(self) -> bool:
-        """Whether the subsets of n rows are few enough to try each."""
-        return comb(len(self.h), self.dimension) <= MOST_VERTEX_CANDIDATES
-
-    def _require_enumerable(self) -> None:
-        """Raise ValueError if the set is unbounded, or has too many subsets of n rows to try each."""
+    def _require_bounded(self) -> None:
+        """Raise ValueError if the set is unbounded."""
         if not self.is_bounded:
             raise ValueError("the polytope is unbounded; intersect it with a box before asking for vertices")
-        if not self._is_enumerable:
-            raise ValueError(
-                f"{len(self.h)} rows in R^{self.dimension} are too many to enumerate vertices; use support()"
-            )
 
     @cached_property
     def _corners(self) -> dict[tuple[Rational, ...], None]:
         """The vertices over the rationals: tuples of n fmpq, each once, as the keys of a dict."""
+        if self.dimension != 2 or len(self.h) > MANY:
+            return dict.fromkeys(ExactPolytope.of(self, MOST_VERTICES).vertices)
         points = (self._meeting(rows)[1] for rows in self._candidates())
         return {point: None for point in points if point is not None}
 
@@ -717,29 +708,18 @@ class ConvexSet:
         return np.array([[nearest(entry * scale) for entry, scale in zip(point, two)] for point in self._corners])
 
     def _candidates(self) -> list[list[int]]:
-        """Subsets of n rows that may meet in a point of P."""
+        """Pairs of rows of a set of the plane that may meet in a point of it."""
         row, offset, _ = self._scaled
         size = np.abs(row)
-        number = np.flatnonzero(size.any(axis=1))
-        parallel = np.zeros((len(row), len(row)), bool)
+        pairs = np.array([*combinations(np.flatnonzero(size.any(axis=1)).tolist(), 2)]).reshape(-1, 2)
         if ((size > 0) == (self.H != 0)).all() and (size[size > 0] > SMALLEST).all():  # the scaled rows are not rounded
             parallel = np.logical_or(*((row[:, None] == sign * row).all(axis=2) for sign in (1, -1)))
-        subsets = combinations(number.tolist(), self.dimension)
-        found: list[list[int]] = []
-        doubtful = 0
-        while some := [*islice(subsets, CHUNK // len(row) + 1)]:
-            chunk = np.array(some)
-            for i, j in combinations(range(self.dimension), 2):
-                chunk = chunk[~parallel[chunk[:, i], chunk[:, j]]]
-            regular = np.abs(np.linalg.det(row[chunk])) > SINGULAR_ROWS
-            points = np.linalg.solve(row[chunk[regular]], offset[chunk[regular]][..., None])[..., 0]
-            terms = np.abs(points).max(axis=1)[:, None] * size.sum(axis=1) + np.abs(offset)
-            inside = (points @ row.T - offset <= NEAR_VERTEX * terms).all(axis=1)
-            found += [*chunk[regular][inside].tolist(), *chunk[~regular].tolist()]
-            doubtful += int((~regular).sum())
-            if doubtful > MOST_SINGULAR:
-                raise ValueError(f"more than {MOST_SINGULAR} subsets of the rows are nearly singular; use support()")
-        return found
+            pairs = pairs[~parallel[pairs[:, 0], pairs[:, 1]]]
+        regular = np.abs(np.linalg.det(row[pairs])) > SINGULAR_ROWS
+        points = np.linalg.solve(row[pairs[regular]], offset[pairs[regular]][..., None])[..., 0]
+        terms = np.abs(points).max(axis=1)[:, None] * size.sum(axis=1) + np.abs(offset)
+        inside = (points @ row.T - offset <= NEAR_VERTEX * terms).all(axis=1)
+        return [*pairs[regular][inside].tolist(), *pairs[~regular].tolist()]
 
 
 # -- parts --------------------------------------------------------------------------------------------

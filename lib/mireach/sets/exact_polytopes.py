@@ -5,18 +5,21 @@ a row a x <= b is (a, -b), and their product is w (a x - b). A product of intege
 time of the same sums of fractions, which are reduced after every operation.
 """
 
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import or_
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import maximize, nearest
 from ..typing import Array, Rational
-from .polytope import Polytope
+
+if TYPE_CHECKING:
+    from .convex_set import ConvexSet
 
 Integers: TypeAlias = tuple[Any, ...]  # several fmpz of python-flint, which has no types
 
@@ -43,20 +46,23 @@ class ExactPolytope:
     dimension: int
 
     @classmethod
-    def of(cls, P: Polytope) -> "ExactPolytope":
-        """A bounded Polytope, every number the float that it is.
+    def of(cls, P: "ConvexSet", most: int | None = None) -> "ExactPolytope":
+        """A bounded ConvexSet, every number the float that it is.
 
         Parameters
         ----------
-        P : Polytope
+        P : ConvexSet
+        most : int or None
+            The largest number of vertices, also of the sets on the way; None is any number.
 
         Raises
         ------
         ValueError
-            If P is unbounded.
+            If P is unbounded, or there are more vertices.
 
         Examples
         --------
+        >>> from mireach import Polytope
         >>> triangle = ExactPolytope.of(Polytope([[-1, 0], [0, -1], [1, 1]], [0, 0, 1]))
         >>> sorted(triangle.vertices), triangle.dimension
         ([(0, 0), (0, 1), (1, 0)], 2)
@@ -72,7 +78,15 @@ class ExactPolytope:
             if np.inf in (high, low):
                 raise ValueError("the polytope is unbounded")
             ends.append((-low, high))
-        return cls.box(ends).clip_all(integers((*a, -b)) for a, b in zip(H, h))
+        most = sys.maxsize if most is None else most
+        if 2 ** sum(low < high for low, high in ends) > most:
+            raise ValueError(_too_many(P, most))
+        part = cls.box(ends)
+        for a, b in zip(H, h):
+            part = part.clip(integers((*a, -b)))
+            if len(part.points) > most:
+                raise ValueError(_too_many(P, most))
+        return part
 
     @classmethod
     def box(cls, ends: Sequence[tuple[Rational, Rational]]) -> "ExactPolytope":
@@ -184,6 +198,13 @@ class ExactPolytope:
                 if found > 2:
                     return False
         return True
+
+
+def _too_many(P: "ConvexSet", most: int) -> str:
+    return (
+        f"{len(P.h)} rows in R^{P.dimension} are too many to enumerate vertices: there are more than {most} of them; "
+        "use support()"
+    )
 
 
 def integers(vector: Sequence[Rational]) -> Integers:

@@ -186,7 +186,7 @@ class Polytope(ConvexSet):
         Raises
         ------
         ValueError
-            If P is unbounded, or so large that its subsets of n rows cannot be tried.
+            If P is unbounded, or has more than about 2,000 vertices.
 
         See Also
         --------
@@ -199,8 +199,8 @@ class Polytope(ConvexSet):
 
         Notes
         -----
-        Tries all n rows at a time, over the rationals where floats are in doubt. This is slow for many rows in high
-        dimension.
+        Computed over the rationals, then rounded. In the plane pairs of rows meet in the vertices. In more dimensions
+        the bounding box is cut by one row after the other (double description).
         """
         return self._vertices.copy()
 
@@ -365,7 +365,7 @@ class Polytope(ConvexSet):
             return inside[:size]
         try:
             corners = self._vertices
-        except ValueError:  # too many subsets of n rows
+        except ValueError:  # too many of them
             V = rng.normal(size=(EXTREME * (self.dimension + 1), self.dimension))
             V /= np.where(upper > lower, upper - lower, 1)
             corners = np.array([self.support_vector(v) for v in V])
