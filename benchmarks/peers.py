@@ -28,6 +28,7 @@ FOLDER = Path(__file__).resolve().parent / ".peers"
 PACKAGES = {
     "gurobipy": ["gurobipy==13.0.*"],
     "pyscipopt": ["pyscipopt==6.*"],
+    "relucent": ["relucent==1.0.0", "gurobipy==13.0.*", "networkx==3.*", "plotly==6.*", "narwhals"],
     "omlt": ["omlt==1.2.*", "pyomo==6.10.*", "networkx==3.*"],
 }
 SAFE_SIDE = 1e-6  # what a bound may lie above the exact support function
