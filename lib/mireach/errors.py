@@ -33,7 +33,9 @@ class MissingExtraError(MireachError, ImportError):
 
     def __init__(self, purpose: str, package: str, extra: str) -> None:
         super().__init__(purpose, package, extra)
-        self.purpose, self.package, self.extra = purpose, package, extra
+        self.purpose = purpose
+        self.package = package
+        self.extra = extra
 
     def __str__(self) -> str:
         return f'{self.purpose} needs {self.package}: install it with pip install "mireach[{self.extra}]"'

@@ -639,7 +639,9 @@ class Edges(Line3DCollection):  # type: ignore[misc]  # mpl_toolkits has no type
     """
 
     def __init__(self, corners: Array, faces: list[Ring], colour: Any, width: float, line: Any, **style: Any) -> None:
-        self.corners, self.faces, self.pairs = corners, faces, edges(faces)
+        self.corners = corners
+        self.faces = faces
+        self.pairs = edges(faces)
         self.width, self.line = width, line
         super().__init__([corners[[*pair]] for pair in self.pairs], colors=[colour], **style)
 

@@ -95,7 +95,9 @@ class Comparison:
         return None
 
     def _passing(self, row: int) -> steps.Step | None:
-        v, limit, witness = self.V[row], binary(self.limit[row]), self.found.witness[row]
+        v = self.V[row]
+        limit = binary(self.limit[row])
+        witness = self.found.witness[row]
         if witness is not None:
             step = steps.farthest_step(self.loop, self.F, v, witness.states[0], int(witness.modes[0]))
             if step is not None and step.value > limit:
@@ -166,7 +168,9 @@ def compare(
         if stop.support is None:
             raise
         found, stopped = stop.support, f"; {stop}"
-    bound, settled, allowed = found.bound, found.rests_on, limit + (0.0 if tol is None else tol)
+    bound = found.bound
+    settled = found.rests_on
+    allowed = limit + (0.0 if tol is None else tol)
     believed = settled == SOLVER
     holds = ~asked if believed else ~asked | (bound <= allowed)
     if not holds.all() and (tol is None or believed):

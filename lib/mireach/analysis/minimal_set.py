@@ -103,10 +103,14 @@ def scaled_minimal_set(
     """
     epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
     engine = engine_for(loop, engine)
-    c, V, X = centre_point(loop, centre), template(loop, C), loop.system.state_set
+    c = centre_point(loop, centre)
+    V = template(loop, C)
+    X = loop.system.state_set
     if not X.contains(c):
         raise ValueError(f"the sequence starts from {c.tolist()}, which lies outside X; give a centre in X")
-    history, found, reason = [Polytope.box(c, c)], None, f"max_steps = {max_steps} came first"
+    history = [Polytope.box(c, c)]
+    found = None
+    reason = f"max_steps = {max_steps} came first"
     h, weights = V @ c, own_units(loop).rows(V)[1]
     for k in range(1, max_steps + 1):
         after = support(loop, history[-1], V, engine=engine).bound

@@ -118,7 +118,9 @@ def safe_set(
     """
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
     V = with_rows(template(loop, C), loop.system.state_set.H)
-    engine, tol, X = engine_for(loop, engine), tolerance(tol), loop.system.state_set
+    engine = engine_for(loop, engine)
+    tol = tolerance(tol)
+    X = loop.system.state_set
     limit = X.offsets(V)
     h, history = X.bound(V), [X]
     image: Support | None = None
@@ -185,7 +187,9 @@ def _safe(
 
 def _leaves(found: Comparison, k: int, engine: Engine) -> tuple[str, Witness | None, bool]:
     """How R_1(F_k) leaves X, in words; the trajectory that shows it; and whether it does so in exact arithmetic."""
-    escape, V, limit = found.first_escape(), found.V, found.limit
+    escape = found.first_escape()
+    V = found.V
+    limit = found.limit
     if escape is not None:
         worst, witness = escape
         passed = exact_excess(witness, V[worst], limit[worst])

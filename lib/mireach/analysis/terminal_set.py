@@ -150,7 +150,9 @@ def terminal_set(
     c = centre_point(loop, centre)
     V = with_rows(template(loop, C), F.H)
     found = require_rpi(loop, F, V, engine, tol)
-    image, after, settled = found.found, found.bound, found.settled
+    image = found.found
+    after = found.bound
+    settled = found.settled
     h, history = F.bound(V), [F]
     alphas: list[float] = []
     still = image.resolution if tol is None else tol  # smaller changes count as none

@@ -681,10 +681,14 @@ def over_one_unit(rows: Iterable[Row]) -> tuple[list[tuple[int, ...]], int]:
 
 def combine(row: Sequence[int], forms: Iterable[Form], unit: int) -> Form:
     """The form w_1 f_1 + ... + w_q f_q + b of whole numbers (w, b) and forms over a unit."""
-    a, b, c = 0, 0, row[-1] * unit
+    a = 0
+    b = 0
+    c = row[-1] * unit
     for w, form in zip(row, forms):
         if w:
-            a, b, c = a + w * form[0], b + w * form[1], c + w * form[2]
+            a += w * form[0]
+            b += w * form[1]
+            c += w * form[2]
     return a, b, c
 
 
@@ -728,7 +732,9 @@ def affine_pieces(network: Network, domain: Polygon, clock: Budget) -> list[tupl
             channels = [combine(row, forms, unit) for row in rows]
             parts: list[Any] = [(corners, [])]
             for start in range(0, len(channels), pool):
-                neuron, split, held = channels[start : start + pool], [], 0
+                neuron = channels[start : start + pool]
+                split = []
+                held = 0
                 for old, won in parts:
                     for new, form in winners(old, neuron, clock):
                         split.append((new, [*won, form]))
@@ -1213,7 +1219,10 @@ def largest(g: Polynomial, size: int) -> tuple[Fraction, list[Fraction], list[Fr
     a product of even powers, which lies in [0, 1], only a positive coefficient counts. b t + a t^2 is largest at
     t = -b / (2 a) where that is a maximum inside (a < 0 and |b| < -2 a), else at the end where b t = |b|.
     """
-    bound, linear, square, bent = Fraction(0), [Fraction(0)] * size, [Fraction(0)] * size, [Fraction(0)] * size
+    bound = Fraction(0)
+    linear = [Fraction(0)] * size
+    square = [Fraction(0)] * size
+    bent = [Fraction(0)] * size
     for powers, coefficient in g.items():
         used = [i for i in range(size) if powers[i]]
         if not used:

@@ -174,7 +174,9 @@ def _cut_by_inputs(found: NetworkCells, regions: tuple[Polytope, ...]) -> Networ
         return found
     cell = np.repeat(np.arange(len(found)), counts)
     H, h = np.concatenate([own[i] for i in found.mode]), np.concatenate([offsets[i] for i in found.mode])
-    Hx, Hu, K = H[:, :n], H[:, n:], found.K[cell]
+    Hx = H[:, :n]
+    Hu = H[:, n:]
+    K = found.K[cell]
     a, b = Hx + np.einsum("rm,rmi->ri", Hu, K), h - np.einsum("rm,rm->r", Hu, found.g[cell])
     extent, inputs = found.complex.extent, np.abs(found.K) @ found.complex.extent + np.abs(found.g)
     size = np.abs(Hx) @ extent + np.einsum("rm,rm->r", np.abs(Hu), inputs[cell]) + np.abs(h)
@@ -298,7 +300,9 @@ def _highest(every: LoopCells, rows: _Rows, F: Polytope, chosen: IntArray) -> _H
         offset = dot(v, binary(every.c[j])) + binary(rows.spread[every.cells.mode[j], k])
         bound = above(best.value + offset + dot(binary(np.abs(V[k])), binary(every.error[j])))
         if bound > top[k]:
-            top[k], value[k], owner[k] = bound, nearest(best.value + offset), j
+            top[k] = bound
+            value[k] = nearest(best.value + offset)
+            owner[k] = j
             points[k] = np.array([nearest(entry) for entry in best.point])
     return _Highest(value, top, owner, left, points)
 

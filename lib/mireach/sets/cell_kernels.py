@@ -234,7 +234,9 @@ def _clip(cell: Cell, row: Array, work: Work) -> int:
     """
     points, masks = cell.points, cell.masks
     excess, simple = work.excess, work.simple
-    n, size, words = points.shape[1], cell.used[0], masks.shape[1]
+    n = points.shape[1]
+    size = cell.used[0]
+    words = masks.shape[1]
     least, most = np.inf, -np.inf
     for t in range(size):
         excess[t] = -row[n]
@@ -456,7 +458,9 @@ def _upper(cell: Cell, v: int, a: Array, work: Work) -> float:
         if row < 0:
             break
         work.basis[leaving] = row
-    value, terms, rest = 0.0, 0.0, 0.0
+    value = 0.0
+    terms = 0.0
+    rest = 0.0
     for k in range(n):
         y[k] = max(y[k], 0.0)
         value += y[k] * cell.rows[work.basis[k], n]
@@ -529,7 +533,9 @@ def _stored(pool: Pool, at: Ints, cell: Cell, info: tuple[int, int, int], doubt:
     """The pool with one more cell; at (3,) counts its cells, vertices and rows."""
     n, words = cell.points.shape[1], cell.masks.shape[1]
     size, used = cell.used[0], cell.used[1]
-    number, top, low = at[0], at[1], at[2]
+    number = at[0]
+    top = at[1]
+    low = at[2]
     points, masks = _grown(pool.points, top + size), _grown(pool.masks, top + size)
     rows, boxes = _grown(pool.rows, low + used), _grown(pool.boxes, number + 1)
     counts, notes = _grown(pool.counts, number + 1), _grown(pool.info, number + 1)
@@ -579,7 +585,9 @@ def _loaded(pool: Pool, number: int, top: int, low: int, cell: Cell) -> bool:
 @Kernel
 def _results(pool: Pool, at: Ints) -> tuple[Any, ...]:
     """The arrays of a pool without their spare room."""
-    number, top, low = at[0], at[1], at[2]
+    number = at[0]
+    top = at[1]
+    low = at[2]
     return (
         pool.points[:top].copy(),
         pool.masks[:top].copy(),
@@ -661,7 +669,9 @@ def clipped(
 def _side(row: Array, box: Array) -> int:
     """1 if a box lies in a half-space, -1 if it misses it, 0 if neither is certain."""
     n = len(row) - 1
-    low, high, terms = -row[n], -row[n], abs(row[n])
+    low = -row[n]
+    high = -row[n]
+    terms = abs(row[n])
     for i in range(n):
         p, q = row[i] * box[i], row[i] * box[n + i]
         low += min(p, q)
@@ -749,7 +759,9 @@ def _layout(sizes: Ints, pools: Ints) -> Layout:
 @Kernel
 def _values(layout: Layout, net: Layers, extent: Array) -> Values:
     """The Values before the first layer: x itself has K = I, without an error."""
-    rows, neurons, n = layout.row[-1], layout.neuron[-1], len(extent)
+    rows = layout.row[-1]
+    neurons = layout.neuron[-1]
+    n = len(extent)
     affine, slope = np.zeros((rows, n + 1)), np.zeros(rows)
     won, unsure = np.zeros(neurons, np.int64), np.zeros(neurons)
     for i in range(n):
@@ -781,7 +793,9 @@ def _enter_layer(net: Layers, layout: Layout, values: Values, layer: int, extent
     at = layout.weight[layer]
     first = layout.row[layer + 1]
     for r in range(net.sizes[layer + 1] * net.pools[layer]):
-        to, summed, slope = first + r, 0.0, 0.0
+        to = first + r
+        summed = 0.0
+        slope = 0.0
         for j in range(n + 1):
             affine[to, j] = 0.0
         for i in range(before):
@@ -850,7 +864,9 @@ def _is_nowhere_ahead(cell: Cell, affine: Array, c: int, j: int, work: Work) -> 
 @Kernel
 def _win(cell: Cell, values: Values, base: int, channels: int, j: int, work: Work) -> int:
     """Cut a cell, in its place, to where channel j is not below the other active ones: as `_cut`."""
-    affine, n, said = values.affine, len(work.a), WHOLE
+    affine = values.affine
+    n = len(work.a)
+    said = WHOLE
     row = work.row
     for c in range(channels):
         if c == j or not values.active[c]:
@@ -876,7 +892,9 @@ def _contenders(cell: Cell, part: Cell, values: Values, base: int, channels: int
     The last one leaves first, so that of equal channels the first stays. Whatever leaves is nowhere ahead of those
     that stay by more than `TOUCH`. At least one stays.
     """
-    affine, active, n = values.affine, values.active, len(work.a)
+    affine = values.affine
+    active = values.active
+    n = len(work.a)
     start, highest = base, -np.inf
     for c in range(base, base + channels):  # the channel that is largest in the middle of the box
         value = affine[c, n]
@@ -968,12 +986,16 @@ def affine_pieces(
     another channel c plus what c may be ahead. The errors add up along the layers: with E and s the errors and sizes of
     a neuron's inputs, a channel has |W| (E + (n + 4) ROUNDOFF s) + the rounding of its offset.
     """
-    pool, net, n = Pool(*domains), Layers(*network), len(extent)
+    pool = Pool(*domains)
+    net = Layers(*network)
+    n = len(extent)
     store = Storage(*storage)
     layers, outputs = len(net.pools), net.sizes[-1]
     layout = _layout(net.sizes, net.pools)
     values = _values(layout, net, extent)
-    cell, part, work = _new_cell(n, store), _new_cell(n, store), _new_work(extent, store)
+    cell = _new_cell(n, store)
+    part = _new_cell(n, store)
+    work = _new_work(extent, store)
     stack, depth = _new_pool(n, store.words), np.zeros(3, np.int64)
     found, at = _new_pool(n, store.words), np.zeros(3, np.int64)
     forms = np.empty((16, outputs * (n + 2)))
@@ -1097,7 +1119,9 @@ def _highest_vertex(cell: Cell, a: Array) -> tuple[int, float]:
 @Kernel
 def whole(cells: tuple[Any, ...], maps: tuple[Any, ...], extent: Array, storage: tuple[int, int, int]) -> Any:
     """max v (M_j x + c_j) + h of D over whole cells, and upper bounds, for k rows v of V: two arrays (N, k)."""
-    pool, on, n = Pool(*cells), Maps(*maps), len(extent)
+    pool = Pool(*cells)
+    on = Maps(*maps)
+    n = len(extent)
     store = Storage(*storage)
     cell, work = _new_cell(n, store), _new_work(extent, store)
     heights, tops = np.empty((len(pool.counts), len(on.V))), np.empty((len(pool.counts), len(on.V)))
@@ -1163,7 +1187,9 @@ def highest(
     doubtful : array (d, 2) of int
         Pairs of a cell and a row of V whose bound has a larger gap.
     """
-    pool, on, n = Pool(*cells), Maps(*maps), len(extent)
+    pool = Pool(*cells)
+    on = Maps(*maps)
+    n = len(extent)
     store = Storage(*storage)
     cell, work = _new_cell(n, store), _new_work(extent, store)
     directions = len(on.V)
@@ -1216,7 +1242,9 @@ def highest(
             if on.tops[j, k] <= top[k]:
                 continue
             if said == WHOLE:
-                top[k], value[k], owner[k] = on.tops[j, k], on.heights[j, k], j
+                top[k] = on.tops[j, k]
+                value[k] = on.heights[j, k]
+                owner[k] = j
                 continue
             offset = _pulled_back(on, j, k, work.a)
             best, most = _highest_vertex(cell, work.a)
@@ -1229,7 +1257,9 @@ def highest(
                 doubtful[pairs, 0], doubtful[pairs, 1] = j, k
                 pairs += 1
             else:
-                top[k], value[k], owner[k] = bound, most + offset, j
+                top[k] = bound
+                value[k] = most + offset
+                owner[k] = j
     return status, value, top, owner, left[:count].copy(), doubtful[:pairs].copy()
 
 

@@ -164,7 +164,9 @@ class ExactPolytope:
         if not beyond:
             return self
         bit = 1 << len(self.rows)
-        points, tight, inside = [], [], []
+        points = []
+        tight = []
+        inside = []
         for i, value in enumerate(values):
             if value <= 0:
                 points.append(self.points[i])

@@ -198,7 +198,9 @@ class CaseStudy:
         return f"CaseStudy({self.name!r}, {len(self.system.modes)} modes, {self.network!r})"
 
     def __str__(self) -> str:
-        n, m, modes = self.system.state_size, self.system.input_size, len(self.system.modes)
+        n = self.system.state_size
+        m = self.system.input_size
+        modes = len(self.system.modes)
         return (
             f"case {self.name}: n = {n}, m = {m}, {modes} {'mode' if modes == 1 else 'modes'}, "
             f"{self.network.binaries} binaries of the network, |d|_inf <= {self.disturbance_bound:g}"
