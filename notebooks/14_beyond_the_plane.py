@@ -275,7 +275,7 @@ plt.show()
 # **What to see.** Each panel shows one set (blue) over its predecessors (grey). The set loses a little more at the top
 # of $x_1$ and $x_2$ in every iteration, and at the bottom of $x_3$: if both outer levels are 10 cm too high, water
 # flows into the middle tank for every input, and raises its level above the limit. $\mathcal{F}_{\max}$ excludes these
-# states. The two slanted facets belong to $\pm(1, 1, 2)$. Volumes are of the state space, not of water.
+# states. The slanted facet at the bottom belongs to $-(1, 1, 2)$. Volumes are of the state space, not of water.
 
 # %% tags=["nbval-check-output"]
 terminal = mr.terminal_set(loop, safe, tanks.directions)
@@ -412,12 +412,12 @@ plotting.label_axes(space, view, f"the same trajectory from step {k} to {end - 1
 plt.show()
 
 # %% [markdown]
-# **What to see.** Left: the section is a different part of the projection at every $x_3$, for small ones the upper right,
-# for large ones the lower left. The orange state has $x_1$
-# and $x_2$ of a state in the terminal set. Right: its $x_3$ lies above those of the set; the dotted line leads straight
-# down to $x_3 = 0$. So the section at its $x_3$ is empty. The controller moves the outer levels directly, within a few
-# steps. The middle level follows slowly, because only the flow through the pipes acts on it. So a picture of
-# $(x_1, x_2)$ shows the fast states and hides the slow one. Each of the claims in this package concerns the set itself.
+# **What to see.** Left: the section is a different part of the projection at every $x_3$, for small ones the upper
+# right, for large ones the lower left. The orange state has $x_1$ and $x_2$ of a state in the terminal set. Right: its
+# $x_3$ lies above those of the set; the dotted line leads straight down to $x_3 = 0$. So the section at its $x_3$ is
+# empty. The controller moves the outer levels directly, within a few steps. The middle level follows slowly, because
+# only the flow through the pipes acts on it. So a picture of $(x_1, x_2)$ shows the fast states and hides the slow one.
+# Each of the claims in this package concerns the set itself.
 
 # %% [markdown]
 # ## 5. Cells against the MILP
@@ -503,12 +503,12 @@ ax.legend(fontsize="small")
 plt.show()
 
 # %% [markdown]
-# **What to see.** A line for a larger $n$ tends to be steeper, as the dotted ones are, which show the number of parts for
-# $N$ planes in general position. A random network may have fewer cells than another one of the same size.
-# `benchmarks/space.py` measured
-# larger random loops, with two modes: two layers of 32 neurons give 18,929 cells for $n = 3$ (0.8 s) and 133,503 for
-# $n = 4$ (5.6 s), two layers of 16 give 111,900 for $n = 5$ (4.9 s), and two layers of 12 give 41,266 for $n = 6$
-# (3.3 s). A cell has about $2^n$ vertices on average, so each one also takes more memory for larger $n$.
+# **What to see.** A line for a larger $n$ tends to be steeper, as the dotted ones are, which show the number of parts
+# for $N$ planes in general position. A random network may have fewer cells than another one of the same size.
+# `benchmarks/space.py` measured larger random loops, with two modes: two layers of 32 neurons give 18,929 cells for
+# $n = 3$ (0.8 s) and 133,503 for $n = 4$ (5.6 s), two layers of 16 give 111,900 for $n = 5$ (4.9 s), and two layers of
+# 12 give 41,266 for $n = 6$ (3.3 s). A cell has about $2^n$ vertices on average, so each one also takes more memory for
+# larger $n$.
 #
 # Without `engine=...`, `mireach` decides as follows for more than two states. It takes the cells if there are at most
 # 200,000, and the MILP if there are more, if $n > 6$, or for several exact steps. If you demand cells and there are too
@@ -552,8 +552,9 @@ BOX = mr.box_directions(3)
 templates = {
     "box": BOX,
     "box and (1, 1, 2)": np.vstack([BOX, [[1, 1, 2]]]),
+    "box and -(1, 1, 2)": np.vstack([BOX, [[-1, -1, -2]]]),
     "box and +-(1, 1, 2)": tanks.safe_directions,
-    "box and +-(1, 1, 1)": np.vstack([BOX, [[1, 1, 1], [-1, -1, -1]]]),
+    "directions(5, 3)": mr.directions(5, 3),
     "directions(14, 3)": mr.directions(14, 3),
     "octahedral": mr.octahedral_directions(3),
 }
@@ -567,15 +568,19 @@ for name, C in templates.items():
 # %%
 failed = mr.safe_set(rough, BOX, max_iterations=300)
 print(f"{failed.verdict}: {failed.reason}")
-better = mr.safe_set(rough, tanks.safe_directions)
-print("in F_max with the rows +-(1, 1, 2):", better.set.contains(failed.witness.states[0]))
+top = mr.support(rough, failed.history[-1], [[1, 0, 0]]).witness[0]  # the step that leads to the largest x1
+print("x1 is largest after", top)
+low = -mr.safe_set(rough, templates["box and -(1, 1, 2)"]).set.support([[-1, -1, -2]])[0]
+print(f"x1 + x2 + 2 x3 = {top.states[0] @ [1, 1, 2]:.1f} before it; at least {low:.1f} in F_max by box and -(1, 1, 2)")
 
 # %% [markdown]
-# **What to see.** With $|d|_\infty \le 0.5$ boxes find no safe set, and neither does the box with one more row.
-# *refuted* means that this sequence ended without an RPI set. It does not mean that the loop has none: two rows more
-# prove one. The box keeps states with all levels high at once. The amount of water in all tanks together, in which the
-# middle tank counts twice here, changes more slowly than any single level, and a pair of rows along it cuts these
-# states off. So do fourteen evenly spread rows, and the 18 octahedral ones.
+# **What to see.** With $|d|_\infty \le 0.5$ boxes find no safe set. *refuted* means that this sequence ended without an
+# RPI set. It does not mean that the loop has none: with one more row there is one. The last box contains states with
+# all levels high at once, and from there $x_3$ exceeds its limit. Why does the box not shrink? Its upper limit of $x_1$
+# comes from a state with much water in tank 1 and little in the other two. There the network still pumps into tank 1.
+# The row $-(1, 1, 2)$ bounds the amount of water in all tanks together from below, with the middle tank counted twice,
+# and excludes this state. The opposite row, $(1, 1, 2)$, does not help. And the number of rows does not decide: five
+# evenly spread ones suffice, fewer than a box has.
 #
 # The template also decides how large the terminal set is:
 
@@ -677,8 +682,7 @@ for k in (1, 2):
 # - A projection contains all sections. To be in all projections does not mean to be in the set.
 # - The number of cells grows like a power $n$ of the number of neurons. Cells win if one loop is asked many times, the
 #   MILP if there are too many cells.
-# - *No safe set found* is a statement about the template. One pair of rows that uses the physics does the work of many
-#   that do not.
+# - *No safe set found* is a statement about the template. One row in the right direction can decide.
 # - A certificate distinguishes bounds of a solver from proofs.
 #
 # ## On your own
