@@ -145,7 +145,7 @@ print(f"U = [{lower[0]:.4f}, {upper[0]:.4f}]^2")
 # %% [markdown]
 # **What to see.** The set-point lies exactly at the upper pipes, so all four modes meet there, and a disturbance of two
 # millimetres decides which one is active. The pumps can add up to 5.8 cm per step, but if they are off, only 0.7 cm per
-# step less than at rest flows in. And $u$ does not act on $x_3$ at all.
+# step less than at rest flows in. And $u$ acts on $x_3$ only through the outer tanks, a step later.
 #
 # The controller $u = \Phi(x)$ is a maxout network that was trained on solutions of a mixed-integer MPC.
 
@@ -168,7 +168,7 @@ print("cells of modes 1 to 4:", np.bincount(mode_of))
 
 # %% [markdown]
 # `mireach` stores a cell by its inequalities, by its vertices, and by the inequalities that are *tight* at each vertex,
-# those that hold with equality. This is one of the smallest cells:
+# those that hold with equality. This is one of the cells with the fewest vertices:
 
 # %% tags=["nbval-check-output"]
 i = int(np.flatnonzero((corners == 4) & (mode_of == 3))[0])
@@ -280,9 +280,8 @@ plt.show()
 # %% tags=["nbval-check-output"]
 terminal = mr.terminal_set(loop, safe, tanks.directions)
 print(terminal.reason)
-print(
-    f"volume {terminal.set.volume():.2f} cm^3; alpha > 1: {terminal.alpha > 1}; stable by Theorem 1: {terminal.stable}"
-)
+print(f"volume {terminal.set.volume():.2f} cm^3")
+print(f"alpha > 1: {terminal.alpha > 1}; stable by Theorem 1: {terminal.stable}")
 
 # %%
 fig, axes = plt.subplots(2, 4, figsize=(10, 5.2), layout="constrained", subplot_kw={"projection": "3d"})
@@ -296,6 +295,17 @@ plt.show()
 # %%
 fig, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
 plotting.plot_planes(axes, terminal.history, chosen=range(terminal.steps + 1), name=r"\overline{\mathcal{R}}")
+plt.show()
+
+# %% [markdown]
+# Both sequences in space, each in one picture, $\overline{\mathcal{R}}_k$ from step 12 on:
+
+# %%
+fig, (left, right) = plt.subplots(1, 2, figsize=(9.4, 4.8), layout="constrained", subplot_kw={"projection": "3d"})
+plotting.draw_history(left, safe.history)
+plotting.draw_history(right, terminal.history, [12, 14, 17, 20, 25, terminal.steps], r"\overline{\mathcal{R}}")
+for ax in (left, right):
+    ax.legend(loc="upper left", ncols=3, fontsize="small", frameon=False)
 plt.show()
 
 # %% [markdown]
@@ -575,12 +585,12 @@ print(f"x1 + x2 + 2 x3 = {top.states[0] @ [1, 1, 2]:.1f} before it; at least {lo
 
 # %% [markdown]
 # **What to see.** With $|d|_\infty \le 0.5$ boxes find no safe set. *refuted* means that this sequence ended without an
-# RPI set. It does not mean that the loop has none: with one more row there is one. The last box contains states with
-# all levels high at once, and from there $x_3$ exceeds its limit. Why does the box not shrink? Its upper limit of $x_1$
-# comes from a state with much water in tank 1 and little in the other two. There the network still pumps into tank 1.
-# The row $-(1, 1, 2)$ bounds the amount of water in all tanks together from below, with the middle tank counted twice,
-# and excludes this state. The opposite row, $(1, 1, 2)$, does not help. And the number of rows does not decide: five
-# evenly spread ones suffice, fewer than a box has.
+# RPI set. It does not mean that the loop has none: with one more row, the right one, it has one. The last box contains
+# states with all levels high at once, and from there $x_3$ exceeds its limit. Why does the box not shrink? Its upper
+# limit of $x_1$ comes from a state with much water in tank 1 and little in the other two. There the network still pumps
+# into tank 1. The row $-(1, 1, 2)$ bounds the amount of water in all tanks together from below, with the middle tank
+# counted twice, and excludes this state. The opposite row, $(1, 1, 2)$, does not help against this disturbance. And the
+# number of rows does not decide: five evenly spread ones suffice, fewer than a box has.
 #
 # The template also decides how large the terminal set is:
 
@@ -603,7 +613,8 @@ for name in ("box", "box and +-(1, 1, 2)", "octahedral"):
 # ## 7. Four tanks
 #
 # The quadruple-tank process has four states, two inputs and one mode. Each pump feeds one lower tank and the upper tank
-# on the opposite side. Only the network makes the loop piecewise affine: it has 40 cells.
+# on the opposite side. The limits are $|x| \le (5, 5, 1.5, 1.2)$ cm, entry by entry, $|u|_\infty \le 1$ V and
+# $|d|_\infty \le 0.05$ cm. Only the network makes the loop piecewise affine: it has 40 cells.
 
 # %% tags=["nbval-check-output"]
 sets = load_sets("four_tanks")  # shipped with the package

@@ -15,6 +15,7 @@ from ..systems.network import Layer, MaxoutNetwork
 from ..systems.pwa import Mode, PWASystem
 from ..typing import Array
 from .common import (
+    Wrong,
     require,
     require_array,
     require_close,
@@ -178,7 +179,7 @@ def check_t4(step_support: Any) -> None:
                 continue
             k = [j for j, value in enumerate(words) if abs(h - value) <= TOL]
             why = hints[k[0]][1] if k else _why(h, true, loop, F, v)
-            require(False, f"along v = {text(v)} your {h:.6g} is off by {abs(h - true):.3g}: {why}")
+            raise Wrong(f"along v = {text(v)} your {h:.6g} is off by {abs(h - true):.3g}: {why}")
     print("ok: one step of a loop in space, without any solver for the maximum")
 
 
