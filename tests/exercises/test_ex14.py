@@ -23,7 +23,7 @@ def test_forgotten_rows_and_turned_inequalities_are_caught(solved):
 
     expect(ex14.check_t1, without_vertical_rows, "outside of the projection", "rows without x3")
     expect(ex14.check_t1, turned, "low", "off by")
-    expect(ex14.check_t1, lambda P, y: tuple(np.ravel(P.project([2]).bounding_box())), "return None")
+    expect(ex14.check_t1, lambda P, y: tuple(np.ravel(P.project([2]).bounding_box())), "polytope", "y = (")
     expect(ex14.check_t1, lambda P, y: None, "is in P, but you return None")
     expect(ex14.check_t1, lambda P, y: solved["heights"](P, y) and 3.0, "the pair (low, high) or None")
 
