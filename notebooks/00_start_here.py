@@ -221,10 +221,10 @@ for condition, holds in answer.conditions.items():
 # | 11_your_own_system | analyse your own plant and your own torch network | |
 # | 12_disturbance_lab | drag the disturbance and see how the sets change | |
 # | 13_the_maximal_safe_set | compute the maximal safe set, which the paper's method cannot compute, by backward steps | ex10 |
-# | 14_beyond_the_plane | analyse three and four tanks with the MILP alone, and see what it can prove | |
+# | 14_beyond_the_plane | look at cells and sets in space, for three and four tanks, and compare them with the MILP | ex14 |
 #
 # Notebooks 01 to 04 build on each other. 05 and 06 belong together, and so do 07, 08 and 09. 11 needs only this
-# notebook; 12 and 13 need 06 and 09. `python3 run.py exercises` writes your copies of the exercises to
+# notebook; 12 and 13 need 06 and 09, and 14 needs 06. `python3 run.py exercises` writes your copies of the exercises to
 # `notebooks/exercises/release/`. Sliders need a running kernel. Above every slider a static figure shows the same
 # content.
 
