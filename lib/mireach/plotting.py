@@ -109,8 +109,8 @@ def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
     if len(corners) > 2:
         return ax.add_patch(Polygon(corners, closed=True, **style))
     colour, label = style.get("edgecolor", BLACK), style.get("label")
-    line = "." if len(corners) == 1 else style.get("linestyle", "-")
-    return ax.plot(*corners.T, line, color=colour, linewidth=style.get("linewidth"), label=label)[0]
+    line = {"marker": ".", "linestyle": ""} if len(corners) == 1 else {"linestyle": style.get("linestyle", "-")}
+    return ax.plot(*corners.T, **line, color=colour, linewidth=style.get("linewidth"), label=label)[0]
 
 
 def draw_region(ax: Axes, region: Region, **style: Any) -> Any:
@@ -557,7 +557,7 @@ def plot_look(ax: Axes, look: Any, title: str | None = None, maximal: Region | N
         The maximal safe set, if it is to be shown as well.
     """
     view = look.view
-    for region in look.loop.system.state_regions():
+    for region in look.regions:
         draw_set(ax, view.polygon(region), **REGION)
     if maximal is not None:
         draw_region(ax, maximal, **MAXIMAL, zorder=0.6, label="maximal safe set")

@@ -42,6 +42,8 @@ class Look:
     disturbed : array (N, steps + 1, n)
     plant : array (steps + 1, n) or None
         The trajectory of the nonlinear plant, if there is one.
+    regions : list of Polytope
+        The mode regions, as far as they do not depend on u.
     view : View
         How states and sets are drawn.
     pending : bool
@@ -62,6 +64,7 @@ class Look:
     nominal: Array
     disturbed: Array
     plant: Array | None
+    regions: list[Polytope]
     view: View
     pending: bool
     seconds: float
@@ -161,6 +164,7 @@ def look(subject: Subject, settings: Settings | None = None, *, terminal: bool =
         nominal=nominal,
         disturbed=disturbed,
         plant=None if subject.plant is None else _plant_path(subject.plant, loop.network, start, steps),
+        regions=_regions(base),
         view=subject.view(settings),
         pending=not terminal,
         seconds=seconds,
@@ -220,6 +224,12 @@ def _terminal(
     if point is not None and not remark:
         terminal = terminal_set(loop, safe, template.rows, epsilon, point, max_steps=MAX_STEPS)
     return terminal, remark, perf_counter() - begin
+
+
+@lru_cache(maxsize=256)
+def _regions(base: ClosedLoop) -> list[Polytope]:
+    """`state_regions`, which no disturbance changes; one list per base, so that a view draws each of them once."""
+    return base.system.state_regions()
 
 
 @lru_cache(maxsize=256)

@@ -32,12 +32,11 @@ def scene(look: Look) -> dict[str, Any]:
     >>> scene(look(subject("pwa"), {"amount": 0.1}))["verdict"]
     'Proven safe: no disturbance leads out of F_max = F_1'
     """
-    system, view = look.loop.system, look.view
-    safe, terminal = look.safe, look.terminal
-    X, R = system.state_set, terminal and terminal.set
+    view, safe, terminal = look.view, look.safe, look.terminal
+    X, R = look.loop.system.state_set, terminal and terminal.set
     return {
         "state": corners(view, X),
-        "regions": [corners(view, region) for region in system.state_regions()],
+        "regions": [corners(view, region) for region in look.regions],
         "sequence": [{"name": name, "k": k, "points": corners(view, P)} for name, k, P in look.sequence],
         "safe": safe.set and corners(view, safe.set),
         "terminal": R and corners(view, R),
@@ -93,16 +92,13 @@ def _caption(look: Look) -> str:
     view, safe, terminal = look.view, look.safe, look.terminal
     if not view.caption:
         return ""
-    missed = [
-        name
-        for name, P in (("F_max", safe.set), ("the terminal set", terminal and terminal.set))
-        if P is not None and view.polygon(P).is_empty
-    ]
+    sets = {"F_max": safe.set, "the terminal set": terminal.set if terminal else None}
+    missed = [name for name, P in sets.items() if P is not None and view.polygon(P).is_empty]
     parts = [view.caption]
     if missed:
-        parts.append(f"It does not meet {' or '.join(missed)}.")
+        parts.append(f"The section does not meet {' or '.join(missed)}.")
     if safe.witness is not None:
-        parts.append("The step that leaves X is a projection too: its end is outside X, also where it is drawn inside.")
+        parts.append("The step that leaves X is a projection too: the cross may be drawn inside, but lies outside X.")
     return " ".join(parts)
 
 
@@ -118,7 +114,7 @@ def _start_facts(look: Look) -> list[Fact]:
         return []
     safe = look.safe.set
     where = "" if safe is None else ", in F_max" if safe.contains(look.view.state) else ", outside F_max"
-    return [("initial state", f"x = {look.view.state.tolist()}{_unit(look)}{where}")]
+    return [("initial state", f"x = {np.round(look.view.state, 3).tolist()}{_unit(look)}{where}")]
 
 
 def _safe_facts(look: Look) -> list[Fact]:

@@ -146,8 +146,8 @@ def _common_controls(X: Polytope, start: Array, unit: str = "") -> tuple[Control
     views = view_choices(n) if n > 2 else {}
     view = [Control("view", "view", next(iter(views)), choices=views)] if views else []
     states = [
-        Control(f"x{i + 1}", f"initial state {coordinate(i)}", *values, 0.05, slider=n > 2, unit=unit)
-        for i, values in enumerate(np.column_stack([start, *X.bounding_box()]).tolist())
+        Control(f"x{i + 1}", f"initial state {coordinate(i)}", at, low, high, 0.05, slider=n > 2, unit=unit)
+        for i, (at, low, high) in enumerate(np.column_stack([start, *X.bounding_box()]).tolist())
     ]
     return (
         Control("log_epsilon", "stopping rule: log₁₀ ε", -3.0, -6.0, -1.0, 0.25),

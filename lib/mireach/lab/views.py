@@ -118,12 +118,17 @@ class Projection(View):
         return f"projection onto {self.pair}"
 
     @property
+    def choice(self) -> str:
+        """What a reader chooses."""
+        return self.title
+
+    @property
     def caption(self) -> str:
         hidden = ", ".join(map(coordinate, self.hidden))
         return (
-            f"Projection onto {self.pair}. The projection of a set shows where it has states, for some {hidden}. A state "
-            "drawn inside may lie outside the set, so a trajectory may enter the projection before it enters the set. "
-            f"The ring is the initial state with {self.fixed}."
+            f"Projection onto {self.pair}: a point belongs to the projection of a set if the set holds a state with "
+            f"these coordinates and some {hidden}. A state drawn inside may lie outside the set, so a trajectory may "
+            f"enter the projection before it enters the set. The initial state (ring) has {self.fixed}."
         )
 
 
@@ -146,15 +151,20 @@ class Section(View):
         return f"section {self.fixed}"
 
     @property
+    def choice(self) -> str:
+        """What a reader chooses; the initial state is chosen elsewhere."""
+        return f"section {self.pair} at the initial {', '.join(map(coordinate, self.hidden))}"
+
+    @property
     def caption(self) -> str:
         return (
-            f"Section {self.fixed}. Sets and regions are cut there; the ring, the initial state, lies in the section. "
-            f"Trajectories leave the section, so they are drawn as projections onto {self.pair}: later states drawn "
-            "inside a set may lie outside it."
+            f"Section {self.fixed} through the initial state (ring): sets and regions are cut there. Trajectories "
+            f"leave the section and are drawn as projections onto {self.pair}, so later states drawn inside a set may "
+            "lie outside it."
         )
 
 
-KINDS = {"projection": Projection, "section": Section}
+KINDS: dict[str, type[Projection] | type[Section]] = {"projection": Projection, "section": Section}
 
 
 def view_choices(n: int) -> dict[str, str]:
@@ -169,13 +179,8 @@ def view_choices(n: int) -> dict[str, str]:
     >>> list(view_choices(3))[2:4]
     ['projection 2 3', 'section 1 2']
     """
-    labels = {"projection": "projection onto {}", "section": "section {} through the initial state"}
-    pairs = [*combinations(range(n), 2)]
-    return {
-        f"{kind} {i + 1} {j + 1}": label.format(f"({coordinate(i)}, {coordinate(j)})")
-        for kind, label in labels.items()
-        for i, j in pairs
-    }
+    origin, pairs = np.zeros(n), [*combinations(range(n), 2)]
+    return {f"{name} {i + 1} {j + 1}": kind((i, j), origin).choice for name, kind in KINDS.items() for i, j in pairs}
 
 
 def chosen_view(choice: str | None, state: ArrayLike, unit: str = "") -> View:

@@ -432,12 +432,12 @@ function shown(name, picture, curve, rings) {
 }
 
 function unit(control) {
-  return control.unit ? ` ${control.unit}` : "";
+  return control.unit ? ` (${control.unit})` : "";
 }
 
 function power({ unit, n }) {
   // the unit of a size in R^n
-  return unit ? ` in ${unit}${{ 2: "²", 3: "³" }[n] || `^${n}`}` : "";
+  return unit ? ` (${unit}${{ 2: "²", 3: "³" }[n] || `^${n}`})` : "";
 }
 
 // -- small things ------------------------------------------------------------------------------------
