@@ -110,7 +110,8 @@ def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
         return ax.add_patch(Polygon(corners, closed=True, **style))
     colour, label = style.get("edgecolor", BLACK), style.get("label")
     line = {"marker": ".", "linestyle": ""} if len(corners) == 1 else {"linestyle": style.get("linestyle", "-")}
-    return ax.plot(*corners.T, **line, color=colour, linewidth=style.get("linewidth"), label=label)[0]
+    shown = label if len(corners) else None  # what is not drawn is not in the legend
+    return ax.plot(*corners.T, **line, color=colour, linewidth=style.get("linewidth"), label=shown)[0]
 
 
 def draw_region(ax: Axes, region: Region, **style: Any) -> Any:
