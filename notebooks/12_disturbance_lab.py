@@ -152,8 +152,8 @@ small_multiples(tanks, [("any $x_3$", {}), *sections])
 # %% [markdown] tags=["course"]
 # **What to see.** The projection of $\mathcal{F}_{\max}$ (left) is a square. The sections lack a corner of it. There
 # $(x_1, x_2)$ lies in the projection, but with this $x_3$ the state is outside $\mathcal{F}_{\max}$: the three levels
-# must not all be low. The section for $x_3 = 3$ cm does not meet the terminal set at all. Trajectories leave the section,
-# so every view draws their projection.
+# must not all be low. The section for $x_3 = 3$ cm does not meet the terminal set at all. Trajectories leave the
+# section, so every view draws their projection.
 
 # %% tags=["course", "nbval-check-output"]
 look = lab.look(tanks, {"x1": 5, "x2": 5, "x3": -1})

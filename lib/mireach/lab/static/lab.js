@@ -63,8 +63,8 @@ function render({ model, el }) {
   function curveArrived() {
     drawChart();
     drawScene();
-    const curve = model.get("curve");
-    if (!curve.done && !busy && !wish) model.send({ do: "idle" });
+    const settled = model.get("curve").done || model.get("picture").pending; // what a look lacks waits for a pause
+    if (!settled && !busy && !wish) model.send({ do: "idle" });
   }
 
   function layerArrived() {
