@@ -195,6 +195,11 @@ def use_views(tab, found):
     tab.keyboard.press("ArrowLeft")
     assert_draws(view="section 1 3", x1=4.95, x2=0.5, x3=0.05)
     assert start.get_attribute("aria-valuetext") == "x1 = 4.95, x2 = 0.5, x3 = 0.05"
+    tab.wait_for_function("lab => lab.dataset.largest", arg=found.element_handle())
+    found.get_by_label("disturbance bound").nth(1).fill("0.25")  # the terminal set follows, also when all else is done
+    found.get_by_label("disturbance bound").nth(1).press("Enter")
+    settle(found)
+    assert_draws(view="section 1 3", amount=0.25, x1=4.95, x2=0.5, x3=0.05)
     found.get_by_label("initial state x₂").nth(1).fill("9")
     found.get_by_label("initial state x₂").nth(1).press("Enter")
     settle(found)

@@ -148,7 +148,7 @@ class Section(View):
 
     @property
     def title(self) -> str:
-        return f"section {self.fixed}"
+        return f"section {self.fixed}, paths projected"
 
     @property
     def choice(self) -> str:
@@ -208,7 +208,7 @@ def chosen_view(choice: str | None, state: ArrayLike, unit: str = "") -> View:
     Examples
     --------
     >>> chosen_view("section 1 3", [0, 0.5, 0], "cm").title
-    'section x₂ = 0.5 cm'
+    'section x₂ = 0.5 cm, paths projected'
     """
     state = real_array(state, "state", 1)
     if choice is None:

@@ -63,8 +63,9 @@ function render({ model, el }) {
   function curveArrived() {
     drawChart();
     drawScene();
-    const settled = model.get("curve").done || model.get("picture").pending; // what a look lacks waits for a pause
-    if (!settled && !busy && !wish) model.send({ do: "idle" });
+    if (busy || wish || model.get("curve").done) return;
+    if (model.get("picture").pending) rest(); // what a look lacks waits for a pause
+    else model.send({ do: "idle" });
   }
 
   function layerArrived() {
