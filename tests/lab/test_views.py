@@ -74,7 +74,7 @@ def test_words_name_the_kind_of_view_the_coordinates_and_the_unit():
     assert (
         "x₂ = −0.5 cm" in projection.caption and "enter the projection before it enters the set" in projection.caption
     )
-    assert section.title == "section x₁ = −0.5 cm, paths projected"
+    assert section.title == "section x₁ = −0.5 cm,\npaths projected"
     assert "drawn as projections onto (x₂, x₃)" in section.caption
     assert list(view_choices(3).values())[3] == "section (x₁, x₂) at the initial x₃"
     assert len(view_choices(4)) == 12 and repr(section).startswith("Section((1, 2), state=[-0.5")

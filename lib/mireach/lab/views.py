@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from functools import lru_cache
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -148,7 +147,7 @@ class Section(View):
 
     @property
     def title(self) -> str:
-        return f"section {self.fixed}, paths projected"
+        return f"section {self.fixed},\npaths projected"
 
     @property
     def choice(self) -> str:
@@ -207,8 +206,8 @@ def chosen_view(choice: str | None, state: ArrayLike, unit: str = "") -> View:
 
     Examples
     --------
-    >>> chosen_view("section 1 3", [0, 0.5, 0], "cm").title
-    'section x₂ = 0.5 cm, paths projected'
+    >>> chosen_view("section 1 3", [0, 0.5, 0], "cm").fixed
+    'x₂ = 0.5 cm'
     """
     state = real_array(state, "state", 1)
     if choice is None:
@@ -257,6 +256,6 @@ def _projected(P: Polytope, axes: tuple[int, int]) -> Polytope:
 
 @lru_cache(maxsize=DRAWN)
 def _cut(P: Polytope, axes: tuple[int, int], fixed: tuple[float, ...]) -> Polytope:
-    at: Any = np.zeros(P.dimension)
+    at = np.zeros(P.dimension)
     at[[axis for axis in range(P.dimension) if axis not in axes]] = fixed
     return P.section(axes, at)
