@@ -1,13 +1,15 @@
 """How fast the disturbance lab answers: python benchmarks/latency.py [--quick]
 
 Two numbers per case, printed as a Markdown table. *Computation*: `lab.look`, for values of each slider over its whole
-range, the other controls at random. *On the screen*: from the input event of a slider to the frame after the new
-picture, in JupyterLab in a headless Chromium (left out where there is none). Nothing here is asserted.
+range, the other controls at random; for more than two states without the terminal set, which the page fills in when
+nothing is moved, and with it in a row of its own. *On the screen*: from the input event of a slider to the frame after
+the new picture, in JupyterLab in a headless Chromium (left out where there is none). Nothing here is asserted.
 """
 
 import argparse
 import sys
 import tempfile
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 
@@ -44,15 +46,17 @@ def main():
     parser.add_argument("--quick", action="store_true", help="a tenth of the moves")
     count = 20 if parser.parse_args().quick else 200
     print("| lab | moves | median | 95th percentile | largest | unit |\n| --- | ---: | ---: | ---: | ---: | --- |")
-    for name in ("pwa", "double_integrator"):
-        row(f"{name}: computation", computation(name, count))
+    for name in ("pwa", "double_integrator", "three_tanks"):
+        row(f"{name}: computation", computation(name, count, whole=not lab.subject(name).slow))
+        if lab.subject(name).slow:
+            row(f"{name}: computation with the terminal set", computation(name, count, whole=True))
         if browser.chromium():
             row(f"{name}: on the screen", on_the_screen(name, count))
     if not browser.chromium():
         print("\nNo Chromium was found: the time until the picture is on the screen was left out.")
 
 
-def computation(name, count):
+def computation(name, count, whole):
     """Milliseconds of `lab.look`: each slider over its whole range, the rest at random."""
     subject, rng = lab.subject(name), np.random.default_rng(0)
     sliders = [control for control in subject.controls if control.slider and not control.choices]
@@ -62,7 +66,7 @@ def computation(name, count):
         for value in np.linspace(control.low, control.high, count // len(sliders) + 2):
             settings = {other.name: draw(other, rng) for other in subject.controls} | {control.name: float(value)}
             begin = perf_counter()
-            lab.look(subject, settings)
+            lab.look(subject, settings, terminal=whole)
             spent.append(1e3 * (perf_counter() - begin))
     return spent
 
@@ -71,9 +75,8 @@ def warm_up(subject):
     """Build the cells of every network and fit, as the lab does in idle moments."""
     names = [name for name in ("network", "regions", "shape") if subject.control(name)]
     choices = [subject.control(name).values() for name in names]
-    for chosen in np.stack(np.meshgrid(*[range(len(c)) for c in choices]), axis=-1).reshape(-1, len(names)):
-        settings = {name: c[i] for name, c, i in zip(names, choices, chosen)}
-        lab.look(subject, settings | {"centre": "equilibrium"})
+    for chosen in product(*choices):
+        lab.look(subject, dict(zip(names, chosen)) | {"centre": "equilibrium"})
 
 
 def draw(control, rng):

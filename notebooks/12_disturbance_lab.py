@@ -11,18 +11,19 @@
 # %% [markdown] tags=["course"]
 # # Move the disturbance, watch the sets
 #
-# **What you will do.** Drag a slider and see how the safe set, the terminal set and the trajectories of both case
-# studies change. Find the largest tolerated disturbance of each loop by hand, then by bisection. Change the template,
-# the stopping rule, the trained network and the fit of the nonlinear plant. Save the result as a figure, as numbers, or
-# as Python code.
+# **What you will do.** Drag a slider and see how the safe set, the terminal set and the trajectories of three case
+# studies change, one of them with three states. Find the largest tolerated disturbance of each loop by hand, then by
+# bisection. Change the template, the stopping rule, the trained network and the fit of the nonlinear plant. Save the
+# result as a figure, as numbers, or as Python code.
 #
 # **What you will learn.**
 # - that $\mathcal{F}_{\max}$ disappears abruptly and not gradually, and at which state it fails;
 # - that the largest disturbance depends on the *template* as well as on the loop;
 # - what the shape of the error set gains when the plant is nonlinear;
-# - how much of the guaranteed sets the trajectories use.
+# - how much of the guaranteed sets the trajectories use;
+# - what a projection and what a section shows of a set of $\mathbb{R}^3$.
 #
-# **What you need.** Notebooks 06 and 09. "Run all" takes about 15 seconds. The two labs need a running kernel. The
+# **What you need.** Notebooks 06 and 09. "Run all" takes about 20 seconds. The three labs need a running kernel. The
 # small figures before each of them are made by the same functions and need no kernel.
 
 # %%
@@ -133,8 +134,49 @@ for regions in (2, 3, 4):
 # segment than of the box, because the segment lies in the box. Using only the errors that can occur increases the
 # tolerated disturbance by a factor of one and a half or more.
 
+# %% [markdown]
+# ## 3. Three tanks: a loop with three states
+
 # %% [markdown] tags=["course"]
-# ## 3. Save the result
+# The states are the levels of three tanks in a row, in cm, relative to their set points (notebook 14). A set of
+# $\mathbb{R}^3$ does not fit into the plane. A *view* states what is drawn of it:
+#
+# - the *projection* $\{(x_1, x_2) : x \in \mathcal{F}\}$ onto two coordinates, i.e. the shadow of the set;
+# - the *section* $\{(x_1, x_2) : x \in \mathcal{F}\}$ for one fixed value of the third coordinate.
+
+# %% tags=["course"]
+tanks = lab.subject("three_tanks")
+sections = [(f"only $x_3 = {level}$ cm", {"view": "section 1 2", "x3": level}) for level in (0, 3)]
+small_multiples(tanks, [("any $x_3$", {}), *sections])
+
+# %% [markdown] tags=["course"]
+# **What to see.** The projection of $\mathcal{F}_{\max}$ (left) is a square. The sections lack a corner of it. There
+# $(x_1, x_2)$ lies in the projection, but with this $x_3$ the state is outside $\mathcal{F}_{\max}$: the three levels
+# must not all be low. The section for $x_3 = 3$ cm does not meet the terminal set at all. Trajectories leave the
+# section, so every view draws their projection.
+
+# %% tags=["course", "nbval-check-output"]
+look = lab.look(tanks, {"x1": 5, "x2": 5, "x3": -1})
+x, terminal = look.nominal, look.terminal.set
+inside = terminal.contains(x)
+shadow = terminal.project([0, 1]).contains(x[:, [0, 1]])
+print(f"from {x[0]} the nominal trajectory enters the projection of the terminal set at step {shadow.argmax()}")
+print(f"and the terminal set itself at step {inside.argmax()}")
+
+# %% [markdown] tags=["course"]
+# **What to see.** A state whose projection lies in the projection of a set need not lie in the set. This is why the lab
+# states, beside the picture, whether the initial state lies in $\mathcal{F}_{\max}$.
+#
+# **The lab.** Choose the *view*. The red ring changes the two coordinates that are drawn. The third one keeps the value
+# of its own slider. In a section this slider moves the section, which always passes through the initial state. While
+# you drag the bound, the lab shows $\mathcal{F}_{\max}$ and the trajectories. The terminal set takes some tenths of a
+# second; it follows when you pause.
+
+# %%
+lab.DisturbanceLab("three_tanks")
+
+# %% [markdown] tags=["course"]
+# ## 4. Save the result
 #
 # The three buttons of the lab save the figure (SVG), all sets in it with their verdicts (JSON), and the Python code
 # that computes the same sets without the lab. From Python:
@@ -149,15 +191,17 @@ exec(mine.script(), again)
 print("the same set:", np.array_equal(again["terminal"].set.h, mine.look.terminal.set.h))
 
 # %% [markdown] tags=["course"]
-# `lab.DisturbanceLab(loop)` opens the lab for your own loop. It scales the disturbance sets of the modes. Exercise: use
-# the loop of notebook 11.
+# `lab.DisturbanceLab(loop)` opens the lab for your own loop with two or more states. It scales the disturbance sets of
+# the modes. Exercise: use the loop of notebook 11.
 #
 # ## What you saw
 #
-# - A whole case study, i.e. a hundred sets, takes some hundredths of a second with the engine `cells`. This makes the
-#   interactive lab possible.
+# - A whole case study in the plane, i.e. a hundred sets, takes some hundredths of a second with the engine `cells`.
+#   This makes the interactive lab possible.
 # - $\mathcal{F}_{\max}$ disappears abruptly, at a bound that depends on the template.
 # - Proven sets are conservative: sampled trajectories fill only a part of them.
+# - A trajectory may enter the projection of a set before it enters the set. A section shows membership, but only for
+#   one value of the coordinates that are not drawn.
 #
 # ## On your own
 #
@@ -169,6 +213,8 @@ print("the same set:", np.array_equal(again["terminal"].set.h, mine.look.termina
 #   about $\mathcal{F}_{\max}$?
 # - In the double integrator's lab, take 36 regions and make the multiple as large as possible. How large is
 #   $\|d\|_\infty$ then, compared with 9 regions?
+# - In the lab of the three tanks, for which levels $x_3$ does the section meet the terminal set? Compare with the
+#   projection onto $(x_1, x_3)$.
 #
 # ## Further reading
 #

@@ -54,6 +54,7 @@ SAFE: Style = {"facecolor": "#009E7333", "edgecolor": GREEN, "linewidth": 1.8}
 TERMINAL: Style = {"facecolor": "#0072B280", "edgecolor": BLUE, "linewidth": 1.5, "hatch": "////"}
 EARLIER: Style = {"facecolor": "none", "edgecolor": GREEN, "linewidth": 0.7, "linestyle": (0, (5, 3))}
 SEQUENCE: Style = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.7}
+REGION: Style = {"facecolor": "none", "edgecolor": GREY, "linewidth": 2.2, "zorder": 0.5}
 MAXIMAL: Style = {"facecolor": "#0072B22E", "edgecolor": BLUE, "linewidth": 1.8}
 HIDDEN: Style = {"linestyle": (0, (1, 2)), "linewidth": 0.8}  # edges of a solid behind its faces
 VIEW: Style = {"elev": 20, "azim": -66}  # degrees; the three faces of a box that are seen differ in size
@@ -108,8 +109,9 @@ def draw_set(ax: Axes, P: Polytope, **style: Any) -> Any:
     if len(corners) > 2:
         return ax.add_patch(Polygon(corners, closed=True, **style))
     colour, label = style.get("edgecolor", BLACK), style.get("label")
-    line = "." if len(corners) == 1 else style.get("linestyle", "-")
-    return ax.plot(*corners.T, line, color=colour, linewidth=style.get("linewidth"), label=label)[0]
+    line = {"marker": ".", "linestyle": ""} if len(corners) == 1 else {"linestyle": style.get("linestyle", "-")}
+    shown = label if len(corners) else None  # what is not drawn is not in the legend
+    return ax.plot(*corners.T, **line, color=colour, linewidth=style.get("linewidth"), label=shown)[0]
 
 
 def draw_region(ax: Axes, region: Region, **style: Any) -> Any:
@@ -140,7 +142,7 @@ def draw_region(ax: Axes, region: Region, **style: Any) -> Any:
 def draw_regions(ax: Axes, system: PWASystem) -> None:
     """Thick grey outlines of the mode regions, as far as they do not depend on u."""
     for region in system.state_regions():
-        draw_set(ax, region, facecolor="none", edgecolor=GREY, linewidth=2.2, zorder=0.5)
+        draw_set(ax, region, **REGION)
 
 
 def draw_trajectories(ax: Axes, trajectories: Array, **style: Any) -> None:
@@ -547,6 +549,8 @@ def plot_planes(
 def plot_look(ax: Axes, look: Any, title: str | None = None, maximal: Region | None = None) -> None:
     """One look of the disturbance lab: all F_k and R_k-bar, F_max, terminal set, trajectories, or why there are none.
 
+    For more than two states it is what the look's view shows of them, which the label of the first axis says.
+
     Parameters
     ----------
     ax : matplotlib Axes
@@ -555,32 +559,44 @@ def plot_look(ax: Axes, look: Any, title: str | None = None, maximal: Region | N
     maximal : Region or None
         The maximal safe set, if it is to be shown as well.
     """
-    draw_regions(ax, look.loop.system)
+    view = look.view
+    for region in look.regions:
+        draw_set(ax, view.polygon(region), **REGION)
     if maximal is not None:
         draw_region(ax, maximal, **MAXIMAL, zorder=0.6, label="maximal safe set")
     safe, terminal = look.safe, look.terminal
     for k, F in enumerate(safe.history):
-        draw_set(ax, F, **EARLIER, label=r"$\mathcal{F}_k$" if k == 0 else None)
+        draw_set(ax, view.polygon(F), **EARLIER, label=r"$\mathcal{F}_k$" if k == 0 else None)
     if safe.set:
-        draw_set(ax, safe.set, **SAFE, label=r"$\mathcal{F}_{\max}$")
-    draw_trajectories(ax, look.disturbed, color=BLUE, linewidth=0.5, alpha=0.6, label="disturbed", zorder=1.5)
+        draw_set(ax, view.polygon(safe.set), **SAFE, label=r"$\mathcal{F}_{\max}$")
+    draw_trajectories(
+        ax, view.points(look.disturbed), color=BLUE, linewidth=0.5, alpha=0.6, label="disturbed", zorder=1.5
+    )
     if terminal:
         for k, R in enumerate(terminal.history[1:-1]):
-            draw_set(ax, R, **SEQUENCE, label=r"$\overline{\mathcal{R}}_k$" if k == 0 else None)
+            draw_set(ax, view.polygon(R), **SEQUENCE, label=r"$\overline{\mathcal{R}}_k$" if k == 0 else None)
         name = r"$\overline{\mathcal{R}}_{\min}$" if terminal.criterion else r"last $\overline{\mathcal{R}}_k$"
-        draw_set(ax, terminal.set, **TERMINAL, label=name, zorder=2)
-    ax.plot(*look.nominal.T, color=BLACK, linewidth=1.2, marker=".", markersize=3, label="nominal", zorder=3)
+        draw_set(ax, view.polygon(terminal.set), **TERMINAL, label=name, zorder=2)
+    ax.plot(
+        *view.points(look.nominal).T, color=BLACK, linewidth=1.2, marker=".", markersize=3, label="nominal", zorder=3
+    )
     if look.plant is not None:
-        ax.plot(*look.plant.T, color=PURPLE, linestyle="--", linewidth=1.6, label="the plant itself", zorder=3)
+        ax.plot(
+            *view.points(look.plant).T, color=PURPLE, linestyle="--", linewidth=1.6, label="the plant itself", zorder=3
+        )
     if safe.witness is not None:
-        path = safe.witness.states.T
+        path = view.points(safe.witness.states).T
         ax.plot(*path, color=RED, linewidth=2.2, label=r"a step that leaves $\mathcal{X}$", zorder=4)
         ax.plot(*path[:, :1], "o", color=RED, markersize=4, zorder=4)
         ax.plot(*path[:, 1:], "X", color=RED, markersize=6, zorder=4)
         ax.text(0.5, 0.98, r"no $\mathcal{F}_{\max}$ found", color=RED, ha="center", va="top", transform=ax.transAxes)
-    X = look.loop.system.state_set
-    shown = X if safe.witness is None else type(X).from_points(np.vstack([X.vertices(), safe.witness.states]))
+    shown = view.polygon(look.loop.system.state_set)
+    if safe.witness is not None:
+        shown = type(shown).from_points(np.vstack([shown.vertices(), view.points(safe.witness.states)]))
     label_axes(ax, shown.scale(1.12, shown.chebyshev()[0]), title)
+    if view.title:
+        right, up = view.names
+        ax.set(xlabel=f"{right}\n{view.title}", ylabel=up)
 
 
 def _set_of(result: Any) -> Any:

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from loops import random_loop
 
 from mireach import lab
 
@@ -45,10 +44,6 @@ def test_unknown_controls_and_subjects_are_named(subjects):
         lab.subject("pwb")
     with pytest.raises(TypeError, match="case must be of the kind"):
         lab.subject(3)
-    with pytest.raises(ValueError, match="3 states"):
-        lab.subject(random_loop(0, n=3))
-    with pytest.raises(ValueError, match="3 states"):
-        lab.subject("three_tanks")
 
 
 def test_whole_numbers_are_rounded_and_others_are_not(subjects):

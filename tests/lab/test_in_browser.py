@@ -57,7 +57,7 @@ def drawn(found, name):
         )
 
     X, limits = points("state"), Polytope.box([-1, -1], [1, 1]).vertices()
-    limits = limits * (10 if "pwa" in found.get_attribute("data-subject") else 6)
+    limits = limits * lab.subject(found.get_attribute("data-subject")).control("x1").high
     scale = np.ptp(limits, axis=0) / np.ptp(X, axis=0) * [1, -1]
     return limits[0] + (points(name) - X[0]) * scale
 
@@ -166,6 +166,47 @@ def use(tab, found, amount, kept):
     assert lab.safe_set_at(subject, {}, largest) is not None
 
 
+def use_views(tab, found):
+    """Choose views of a loop with three states, move the section and the start: the lab must follow each time."""
+    subject, accuracy = lab.subject(found.get_attribute("data-subject")), PIXEL * 20 / 400
+
+    def assert_draws(**settings):
+        tab.wait_for_function("lab => lab.dataset.pending === 'false'", arg=found.element_handle())
+        settle(found)
+        look = lab.look(subject, settings)
+        for name, P in (("safe", look.safe.set), ("terminal", look.terminal.set)):
+            np.testing.assert_allclose(drawn(found, name), look.view.polygon(P).vertices(), atol=accuracy)
+        np.testing.assert_allclose(drawn(found, "nominal"), look.view.points(look.nominal), atol=accuracy)
+        assert found.locator("svg.scene path.reach").count() == look.terminal.steps
+        assert found.locator(".view").inner_text() == look.view.caption
+        texts = found.locator("svg.scene text").all_text_contents()
+        assert [text for text in texts if "x" in text] == [*look.view.names]
+
+    found.scroll_into_view_if_needed()
+    assert_draws()
+    assert found.get_by_label("maximal safe set").count() == 0
+    found.get_by_label("view", exact=True).select_option("section 1 3")
+    found.get_by_label("initial state x₂").nth(1).fill("0.5")
+    found.get_by_label("initial state x₂").nth(1).press("Enter")
+    assert_draws(view="section 1 3", x2=0.5)
+    start = found.locator("circle.start")  # x₁ and x₃ move, x₂ stays
+    start.focus()
+    tab.keyboard.press("ArrowUp")
+    tab.keyboard.press("ArrowLeft")
+    assert_draws(view="section 1 3", x1=4.95, x2=0.5, x3=0.05)
+    assert start.get_attribute("aria-valuetext") == "x1 = 4.95, x2 = 0.5, x3 = 0.05"
+    tab.wait_for_function("lab => lab.dataset.largest", arg=found.element_handle())
+    found.get_by_label("disturbance bound").nth(1).fill("0.25")  # the terminal set follows, also when all else is done
+    found.get_by_label("disturbance bound").nth(1).press("Enter")
+    settle(found)
+    assert_draws(view="section 1 3", amount=0.25, x1=4.95, x2=0.5, x3=0.05)
+    found.get_by_label("initial state x₂").nth(1).fill("9")
+    found.get_by_label("initial state x₂").nth(1).press("Enter")
+    settle(found)
+    tab.wait_for_function("lab => lab.textContent.includes('does not meet')", arg=found.element_handle())
+    assert found.locator(".verdict.proven").count() == 1
+
+
 def test_notebook_in_jupyterlab(tab, tmp_path):
     shutil.copy(NOTEBOOKS / "12_disturbance_lab.ipynb", tmp_path)
     with browser.jupyterlab(tmp_path) as address:
@@ -180,3 +221,4 @@ def test_page_of_its_own(tab, tmp_path):
         labs.nth(1).wait_for()
         assert tab.get_by_text("What you will do").count() == 0
         use(tab, labs.nth(1), "times the proven error", tmp_path / "sets.json")
+        use_views(tab, labs.nth(2))

@@ -203,9 +203,9 @@ def test_lab_saves_figure_sets_and_python(lab, amount, tmp_path):
         lab.save(tmp_path / "look.png")
 
 
-def test_lab_of_a_loop_of_ones_own_needs_the_plane():
+def test_lab_of_a_loop_of_ones_own_needs_two_states():
     lab = DisturbanceLab(random_loop(1))
     assert {control["name"] for control in lab.controls}.isdisjoint({"network", "regions", "shape"})
-    with pytest.raises(ValueError, match="3 states"):
-        DisturbanceLab(random_loop(0, n=3))
+    with pytest.raises(ValueError, match="only 1 state"):
+        DisturbanceLab(random_loop(0, n=1))
     assert "kernel" in repr(lab)

@@ -12,13 +12,13 @@ from ..analysis.safe_set import SafeSet, safe_set
 from ..analysis.terminal_set import TerminalSet, terminal_set
 from ..checks import require_kind
 from ..sets.polytope import Polytope
-from ..sets.templates import directions
 from ..studies.case_analysis import SETTLING
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
 from ..systems.nonlinear import NonlinearSystem
 from ..typing import Array
-from .controls import Settings, Subject, epsilon_of
+from .controls import Settings, Subject, Template, epsilon_of
+from .views import View
 
 TRAJECTORIES = 20
 LONGEST = 50  # steps that are simulated at most
@@ -38,10 +38,16 @@ class Look:
     terminal : TerminalSet or None
     remark : str
         Why there is no terminal set; else empty.
-    nominal : array (steps + 1, 2)
-    disturbed : array (N, steps + 1, 2)
-    plant : array (steps + 1, 2) or None
+    nominal : array (steps + 1, n)
+    disturbed : array (N, steps + 1, n)
+    plant : array (steps + 1, n) or None
         The trajectory of the nonlinear plant, if there is one.
+    regions : list of Polytope
+        The mode regions, as far as they do not depend on u.
+    view : View
+        How states and sets are drawn.
+    pending : bool
+        Whether this is only a first answer: the terminal set was not asked for, and `sequence` has one set.
     seconds : float
         What the sets took when they were computed.
 
@@ -58,6 +64,9 @@ class Look:
     nominal: Array
     disturbed: Array
     plant: Array | None
+    regions: list[Polytope]
+    view: View
+    pending: bool
     seconds: float
 
     def __str__(self) -> str:
@@ -67,8 +76,13 @@ class Look:
 
     @property
     def sequence(self) -> list[tuple[Literal["F", "R"], int, Polytope]]:
-        """All sets in the order in which they were found: list of (name "F" or "R", k, Polytope)."""
+        """All sets in the order in which they were found: list of (name "F" or "R", k, Polytope).
+
+        Only the last F_k if the look is pending: there may be hundreds, and each of them has to be drawn.
+        """
         sets: list[tuple[Literal["F", "R"], int, Polytope]] = [("F", k, F) for k, F in enumerate(self.safe.history)]
+        if self.pending:
+            return sets[-1:]
         if self.terminal:
             sets += [("R", k, R) for k, R in enumerate(self.terminal.history) if k]
         return sets
@@ -99,7 +113,7 @@ class Look:
         }
 
 
-def look(subject: Subject, settings: Settings | None = None) -> Look:
+def look(subject: Subject, settings: Settings | None = None, *, terminal: bool = True) -> Look:
     """The sets and trajectories for one choice of settings.
 
     Parameters
@@ -107,6 +121,8 @@ def look(subject: Subject, settings: Settings | None = None) -> Look:
     subject : Subject
     settings : dict or None
         Control name -> value, as `Subject.settle` takes them; None stands for all defaults.
+    terminal : bool
+        False leaves out the terminal set, which takes longest for more than two states; the look is then `pending`.
 
     Returns
     -------
@@ -127,25 +143,30 @@ def look(subject: Subject, settings: Settings | None = None) -> Look:
     """
     require_kind(subject, Subject, "subject")
     settings = subject.settle({} if settings is None else settings)
-    loop = subject.loop(settings)
-    safe, seconds = _safe(loop, settings["safe_directions"])
-    terminal, remark = None, "there is no F_max to start from"
-    if safe.set:
-        rule = (settings["directions"], epsilon_of(settings), settings["centre"])
-        terminal, remark, more = _terminal(subject.base(settings), loop, settings["safe_directions"], *rule)
+    base, loop, start = subject.base(settings), subject.loop(settings), subject.start(settings)
+    template = subject.template("safe_directions", settings)
+    safe, seconds = _safe(loop, template)
+    found, remark = None, "there is no F_max to start from"
+    if safe.set and not terminal:
+        remark = "it was not asked for"
+    elif safe.set:
+        rule = (subject.template("directions", settings), epsilon_of(settings), settings["centre"])
+        found, remark, more = _terminal(base, loop, template, *rule)
         seconds += more
-    steps = min(terminal.steps + SETTLING, LONGEST) if terminal else LONGEST
-    start = np.array([settings["x1"], settings["x2"]])
-    nominal, disturbed = _trajectories(loop, start, steps, settings["seed"])
+    steps = min(found.steps + SETTLING, LONGEST) if found else LONGEST
+    nominal, disturbed = _trajectories(base, loop, settings["amount"], start, steps, settings["seed"])
     return Look(
         settings=settings,
         loop=loop,
         safe=safe,
-        terminal=terminal,
+        terminal=found,
         remark=remark,
         nominal=nominal,
         disturbed=disturbed,
         plant=None if subject.plant is None else _plant_path(subject.plant, loop.network, start, steps),
+        regions=_regions(base),
+        view=subject.view(settings),
+        pending=not terminal,
         seconds=seconds,
     )
 
@@ -171,7 +192,7 @@ def safe_set_at(subject: Subject, settings: Settings, amount: float) -> Polytope
     True
     """
     settings = subject.settle({**settings, "amount": amount})
-    return _safe(subject.loop(settings), settings["safe_directions"])[0].set
+    return _safe(subject.loop(settings), subject.template("safe_directions", settings))[0].set
 
 
 @lru_cache(maxsize=64)
@@ -186,23 +207,29 @@ def maximal_set(loop: ClosedLoop) -> MaximalSafeSet:
 
 
 @lru_cache(maxsize=256)
-def _safe(loop: ClosedLoop, count: int) -> tuple[SafeSet, float]:
+def _safe(loop: ClosedLoop, template: Template) -> tuple[SafeSet, float]:
     """The safe set, and the seconds that it took."""
     begin = perf_counter()
-    return safe_set(loop, directions(count), max_iterations=MAX_ITERATIONS), perf_counter() - begin
+    return safe_set(loop, template.rows, max_iterations=MAX_ITERATIONS), perf_counter() - begin
 
 
 @lru_cache(maxsize=256)
 def _terminal(
-    base: ClosedLoop, loop: ClosedLoop, safe_count: int, count: int, epsilon: float, centre: str
+    base: ClosedLoop, loop: ClosedLoop, safe_template: Template, template: Template, epsilon: float, centre: str
 ) -> tuple[TerminalSet | None, str, float]:
     """The terminal set, or None and why; and the seconds that it took."""
-    safe, begin = _safe(loop, safe_count)[0], perf_counter()
+    safe, begin = _safe(loop, safe_template)[0], perf_counter()
     point, remark = (centre, "") if centre == "origin" else _equilibrium(base)
     terminal = None
     if point is not None and not remark:
-        terminal = terminal_set(loop, safe, directions(count), epsilon, point, max_steps=MAX_STEPS)
+        terminal = terminal_set(loop, safe, template.rows, epsilon, point, max_steps=MAX_STEPS)
     return terminal, remark, perf_counter() - begin
+
+
+@lru_cache(maxsize=256)
+def _regions(base: ClosedLoop) -> list[Polytope]:
+    """`state_regions`, which no disturbance changes; one list per base, so that a view draws each of them once."""
+    return base.system.state_regions()
 
 
 @lru_cache(maxsize=256)
@@ -215,19 +242,28 @@ def _equilibrium(loop: ClosedLoop) -> tuple[Array | None, str]:
 
 
 def _plant_path(plant: NonlinearSystem, network: MaxoutNetwork, start: Array, steps: int) -> Array:
-    """The plant's trajectory up to its first state outside X: (k + 1, 2)."""
+    """The plant's trajectory up to its first state outside X: (k + 1, n)."""
     path = [start]
     while len(path) <= steps and plant.state_set.contains(path[-1]):
         path.append(plant.step(network, path[-1]))
     return np.array(path)
 
 
-def _trajectories(loop: ClosedLoop, start: Array, steps: int, seed: int) -> tuple[Array, Array]:
-    """The nominal trajectory (steps + 1, 2) and disturbed ones (N, steps + 1, 2), which follow D as it grows."""
-    rng, D = np.random.default_rng(seed), loop.system.modes[0].disturbance
+def _trajectories(
+    base: ClosedLoop, loop: ClosedLoop, amount: float, start: Array, steps: int, seed: int
+) -> tuple[Array, Array]:
+    """The nominal trajectory (steps + 1, n) and disturbed ones (N, steps + 1, n), which follow D as it grows."""
     starts = np.tile(start, (TRAJECTORIES + 1, 1))
-    if any(mode.disturbance is not D for mode in loop.system.modes):
-        return loop.simulate(start, steps), loop.simulate(starts[1:], steps, rng)
-    draws = D.sample(rng, TRAJECTORIES * LONGEST).reshape(TRAJECTORIES, LONGEST, 2)
-    paths = loop.simulate(starts, steps, np.concatenate([np.zeros((1, steps, 2)), draws[:, :steps]]))
+    if len({id(mode.disturbance) for mode in loop.system.modes}) > 1:
+        return loop.simulate(start, steps), loop.simulate(starts[1:], steps, np.random.default_rng(seed))
+    draws = amount * _draws(base.system.modes[0].disturbance, seed)
+    paths = loop.simulate(starts, steps, np.concatenate([np.zeros_like(draws[:1, :steps]), draws[:, :steps]]))
     return paths[0], paths[1:]
+
+
+@lru_cache(maxsize=256)
+def _draws(D: Polytope, seed: int) -> Array:
+    """Random disturbances of D (N, steps, n); those of the scaled set are multiples of them."""
+    draws = D.sample(np.random.default_rng(seed), TRAJECTORIES * LONGEST).reshape(TRAJECTORIES, LONGEST, D.dimension)
+    draws.setflags(write=False)
+    return draws

@@ -1,4 +1,4 @@
-"""What may be set in a disturbance lab: controls, and the subject whose loop they describe."""
+"""What may be set in a disturbance lab: controls, and the subject whose loop, templates and view they describe."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -11,6 +11,8 @@ from ..checks import require_kind
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.nonlinear import NonlinearSystem
+from ..typing import Array
+from .views import View, chosen_view
 
 Settings = dict[str, Any]  # control name -> value
 
@@ -29,6 +31,8 @@ class Control:
         Whether a number has a slider beside its field.
     choices : dict of str to str
         Value -> label, for a choice; empty for a number.
+    unit : str
+        Of a number; empty if it has none.
 
     Examples
     --------
@@ -44,6 +48,7 @@ class Control:
     step: float = 0.0
     slider: bool = True
     choices: dict[str, str] = field(default_factory=dict)
+    unit: str = ""
 
     def __str__(self) -> str:
         values = f"one of {', '.join(self.choices)}" if self.choices else f"{self.low:g} to {self.high:g}"
@@ -76,6 +81,23 @@ class Control:
 
 
 @dataclass(frozen=True, eq=False)
+class Template:
+    """The rows of a template, and the Python that makes them.
+
+    Attributes
+    ----------
+    rows : array (l, n)
+    source : str
+    """
+
+    rows: Array
+    source: str
+
+    def __str__(self) -> str:
+        return f"template of {len(self.rows)} rows: {self.source}"
+
+
+@dataclass(frozen=True, eq=False)
 class Subject:
     """What a lab looks at.
 
@@ -87,6 +109,12 @@ class Subject:
         settings -> ClosedLoop whose disturbance sets are those of amount 1; equal settings give the same object.
     source : callable
         settings -> list of str, lines of Python that make the base, called `loop`.
+    templates : callable
+        (name, value) -> Template of the control "safe_directions" or "directions"; equal values give the same object.
+    dimension : int
+        Number of states n.
+    unit : str
+        Of the states; empty if they have none.
     plant : NonlinearSystem or None
         What the loop's system approximates.
 
@@ -99,6 +127,9 @@ class Subject:
     controls: tuple[Control, ...]
     base: Callable[[Settings], ClosedLoop]
     source: Callable[[Settings], list[str]]
+    templates: Callable[[str, Any], Template]
+    dimension: int = 2
+    unit: str = ""
     plant: NonlinearSystem | None = None
 
     def __str__(self) -> str:
@@ -107,6 +138,23 @@ class Subject:
     def loop(self, settings: Settings) -> ClosedLoop:
         """The ClosedLoop that these settings describe."""
         return _scaled(self.base(settings), settings["amount"])
+
+    def template(self, name: str, settings: Settings) -> Template:
+        """The Template that the control "safe_directions" or "directions" chooses."""
+        return self.templates(name, settings[name])
+
+    def start(self, settings: Settings) -> Array:
+        """The initial state of the trajectories: array (n,)."""
+        return np.array([settings[f"x{i}"] for i in range(1, self.dimension + 1)])
+
+    def view(self, settings: Settings) -> View:
+        """How states and sets are drawn."""
+        return chosen_view(settings.get("view"), self.start(settings), self.unit)
+
+    @property
+    def slow(self) -> bool:
+        """Whether a terminal set takes longer than a look may, so that a page fills it in afterwards."""
+        return self.dimension > 2
 
     def control(self, name: str) -> Control | None:
         """The Control of this name; None if there is none."""

@@ -19,14 +19,15 @@ def script(subject: Subject, settings: Settings) -> str:
     'import mireach as mr'
     """
     settings = subject.settle(settings)
+    safe, other = (subject.template(name, settings).source for name in ("safe_directions", "directions"))
     lines = [
         *subject.source(settings),
         "D = [mode.disturbance for mode in loop.system.modes]",
         f"loop = loop.with_disturbance([mr.Polytope(one.H, {settings['amount']} * one.h) for one in D])",
-        f"safe = mr.safe_set(loop, mr.directions({settings['safe_directions']}), max_iterations={MAX_ITERATIONS})",
+        f"safe = mr.safe_set(loop, {safe}, max_iterations={MAX_ITERATIONS})",
         "print(safe.verdict, safe.iterations, safe.reason)",
         "if safe.set:",
-        f"    C, epsilon = mr.directions({settings['directions']}), {epsilon_of(settings)}",
+        f"    C, epsilon = {other}, {epsilon_of(settings)}",
         f"    terminal = mr.terminal_set(loop, safe, C, epsilon, {settings['centre']!r}, max_steps={MAX_STEPS})",
         "    print(terminal.steps, terminal.alpha, terminal.reason)",
     ]

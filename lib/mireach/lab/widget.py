@@ -15,18 +15,20 @@ from ..checks import whole_number
 from ..errors import MireachError
 from ..files import write_whole
 from ..plotting import legend_above, new_figure, plot_look, save_svg
-from .answers import look, maximal_set, safe_set_at
+from .answers import Look, look, maximal_set, safe_set_at
 from .controls import Settings
 from .messages import KINDS, Message, read_message
-from .scenes import maximal_scene, scene
+from .scenes import corners, maximal_scene, scene
 from .scripts import script
 from .search import Trials, largest_amount, next_amount
 from .subjects import subject
+from .views import size_name, size_of
 
 STATIC = Path(__file__).parent / "static"
 SCREEN_DPI = 90  # pixels of the page per inch; pictures have twice as many, for sharp screens
 LOOP_CONTROLS = ("regions", "network")  # whose values need cells of their own
 SAFE_SET_CONTROLS = ("network", "regions", "shape", "safe_directions")  # on which F_max depends, beside the amount
+TERMINAL_SET_CONTROLS = (*SAFE_SET_CONTROLS, "amount", "directions", "log_epsilon", "centre")
 
 
 def step_viewer(
@@ -88,7 +90,7 @@ class DisturbanceLab(anywidget.AnyWidget):
     Parameters
     ----------
     case : CaseStudy, str or ClosedLoop
-        As in `lab.subject`: a case study or its name, or a loop with two states of one's own.
+        As in `lab.subject`: a case study or its name, or a loop of one's own with two or more states.
     **settings
         Values of controls to begin with, such as amount=0.2; the rest are the case study's own.
 
@@ -98,14 +100,15 @@ class DisturbanceLab(anywidget.AnyWidget):
         Control name -> value. May be replaced by code, as below (changes within the dict are not noticed); values
         out of range go to the nearest end.
     look : lab.Look
-        The answer to `settings`: sets, verdicts and trajectories.
+        The answer to `settings`: sets, verdicts and trajectories. For more than two states the page first shows what
+        `look(..., terminal=False)` gives, and the rest once nothing is moved; this attribute is always complete.
 
     Raises
     ------
     TypeError
         If `case` is none of these.
     ValueError
-        If there is no such case or control, or the loop has not two states.
+        If there is no such case or control, or the loop has only one state.
 
     Examples
     --------
@@ -118,6 +121,7 @@ class DisturbanceLab(anywidget.AnyWidget):
     _esm = STATIC / "lab.js"
     _css = STATIC / "lab.css"
     name = traitlets.Unicode().tag(sync=True)
+    about = traitlets.Dict().tag(sync=True)
     controls: Any = traitlets.List().tag(sync=True)
     settings = traitlets.Dict().tag(sync=True)
     picture = traitlets.Dict().tag(sync=True)
@@ -131,14 +135,23 @@ class DisturbanceLab(anywidget.AnyWidget):
         self._trials: dict[tuple[Any, ...], Trials] = {}  # values of SAFE_SET_CONTROLS -> trials
         self._prepared: list[Settings] = []
         self._maximal: Any = None
+        self._completed: set[tuple[Any, ...]] = set()  # values of TERMINAL_SET_CONTROLS whose terminal set is known
         controls = [{**asdict(control), "choices": control.choices or None} for control in self.subject.controls]
-        super().__init__(name=self.subject.name, controls=controls, settings=self.subject.settle(settings))
+        n = self.subject.dimension
+        about = {"size": size_name(n).capitalize(), "unit": self.subject.unit, "n": n, "maximal": n == 2}
+        super().__init__(name=self.subject.name, about=about, controls=controls, settings=self.subject.settle(settings))
         self._answer()
         self.observe(self._answer, names="settings")
         self.on_msg(self._on_message)
 
     def __repr__(self) -> str:
         return f"DisturbanceLab of {self.subject.name}: it appears where a kernel is running"
+
+    @property
+    def look(self) -> Look:
+        """The answer to `settings`, complete."""
+        self._complete()
+        return self._look
 
     def script(self) -> str:
         """Lines of Python that compute the same sets without the lab."""
@@ -169,10 +182,25 @@ class DisturbanceLab(anywidget.AnyWidget):
 
     def _answer(self, _change: object = None) -> None:
         """Compute the look of the present settings and send it to the page."""
-        self.look = look(self.subject, self.settings)
+        at_once = not self.subject.slow or self._terminal_key in self._completed
+        self._look = look(self.subject, self.settings, terminal=at_once)
         self._looks += 1
-        self.picture = {**scene(self.look), "stamp": self._stamp, "number": self._looks}
+        self._show_look()
         self._show_curve()
+
+    def _show_look(self) -> None:
+        self.picture = {**scene(self._look), "stamp": self._stamp, "number": self._looks}
+
+    def _complete(self) -> None:
+        """Compute what a pending look lacks, and send it to the page."""
+        if self._look.pending:
+            self._look = look(self.subject, self.settings)
+            self._completed.add(self._terminal_key)
+            self._show_look()
+
+    @property
+    def _terminal_key(self) -> tuple[Any, ...]:
+        return tuple(self.settings.get(name) for name in TERMINAL_SET_CONTROLS)
 
     def _on_message(self, _widget: object, content: Any, _buffers: object) -> None:
         """Answer a message of the page. One that cannot be answered changes nothing but the error that is shown."""
@@ -200,8 +228,8 @@ class DisturbanceLab(anywidget.AnyWidget):
         elif message.do == "idle":
             self._idle()
         elif message.do == "layer":
-            maximal = maximal_set(self.look.loop)
-            self.layer = {**maximal_scene(maximal, self.look.loop.system.state_set), "number": self._looks}
+            maximal = maximal_set(self._look.loop)
+            self.layer = {**maximal_scene(maximal, self._look.loop.system.state_set), "number": self._looks}
             self._maximal = maximal.set
         else:
             ending, media = KINDS[message.kind]
@@ -223,7 +251,7 @@ class DisturbanceLab(anywidget.AnyWidget):
         save_svg(figure, file)
         return file.getvalue()
 
-    # -- work for idle moments: the largest disturbance, then what the next click may need -------------
+    # -- work for idle moments: what the look lacks, the largest disturbance, what the next click may need -----
 
     @property
     def _present_trials(self) -> Trials:
@@ -232,9 +260,11 @@ class DisturbanceLab(anywidget.AnyWidget):
         return self._trials.setdefault(values, {})
 
     def _idle(self) -> None:
-        """One short piece of work: one more amount of disturbance, or cells that a click may need."""
+        """One piece of work: what the look lacks, one more amount of disturbance, or cells that a click may need."""
         amount = self._next_amount()
-        if amount is not None:
+        if self._look.pending:
+            self._complete()
+        elif amount is not None:
             self._present_trials[amount] = safe_set_at(self.subject, self.settings, amount)
         elif self._ahead:
             look(self.subject, {**self.settings, **self._ahead[0]})
@@ -263,10 +293,10 @@ class DisturbanceLab(anywidget.AnyWidget):
             text = f"{text} or more, the end of the range"
         best = None if largest is None else trials[largest]
         self.curve = {
-            "points": [[amount, found and found.area] for amount, found in sorted(trials.items())],
+            "points": [[amount, found and size_of(found)] for amount, found in sorted(trials.items())],
             "largest": largest,
-            "largest_set": None if best is None else best.vertices().tolist(),
+            "largest_set": None if best is None else corners(self._look.view, best),
             "settled": settled,
-            "done": settled and not self._ahead,
-            "summary": f"Area of F_max over the disturbance; largest with an F_max: {text}.",
+            "done": settled and not self._ahead and not self._look.pending,
+            "summary": f"{self.about['size']} of F_max over the disturbance; largest with an F_max: {text}.",
         }

@@ -66,12 +66,16 @@ class NetworkShape(NamedTuple):
 
 
 class AmountSlider(NamedTuple):
-    """The disturbance slider of a case in the disturbance lab: its label, default, end and step; it begins at 0."""
+    """The disturbance slider of a case in the disturbance lab: its label, default, end and step; it begins at 0.
+
+    `unit` is that of the states, empty if there is none.
+    """
 
     label: str
     default: float
     high: float
     step: float
+    unit: str = ""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,7 +108,7 @@ class CaseDefinition:
     figures : tuple of str
         Names of the figures that the report draws of it; a case without any is not in the report.
     slider : AmountSlider or None
-        None for cases that the disturbance lab does not show, since it draws the plane.
+        None for cases whose disturbance sets the disturbance lab scales, as those of any other loop.
     """
 
     name: str
@@ -437,6 +441,7 @@ THREE_TANKS = CaseDefinition(
     safe_directions=np.vstack([box_directions(3), LEVELS]),
     starts=[[5, -8, 0], [-8, -8, 7], [5, 5, -1]],
     figures=("three_tanks",),
+    slider=AmountSlider("disturbance bound |d|∞ ≤", THREE_TANKS_DISTURBANCE, 1.0, 0.005, "cm"),
 )
 FOUR_TANKS = CaseDefinition(
     name="four_tanks",

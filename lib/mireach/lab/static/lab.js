@@ -9,10 +9,10 @@ const CHART = { width: 340, height: 132, left: 40, right: 10, top: 18, bottom: 3
 const IDLE = 200; // ms without a wish before the largest disturbance is looked for
 const PLAY = 300; // ms per set
 const OWN_KEYS = ["data-lm-suppress-shortcuts", "true"]; // else JupyterLab takes the arrow keys
-const VIEWS = { state: "all of X", safe: "the safe set", terminal: "the terminal set" };
+const ZOOMS = { state: "all of X", safe: "the safe set", terminal: "the terminal set" };
 
 function render({ model, el }) {
-  const lab = build(model.get("controls"));
+  const lab = build(model.get("controls"), model.get("about"));
   lab.root.dataset.subject = model.get("name");
   lab.root.setAttribute("aria-label", `Disturbance lab of ${model.get("name")}`);
   el.classList.add("mireach-lab");
@@ -20,7 +20,7 @@ function render({ model, el }) {
   const inputs = lab.inputs;
   let settings = { ...model.get("settings") };
   let stamp = 0, busy = false, wish = false, idle = null, player = null;
-  let view = "state", index = Infinity, bounds = null;
+  let zoom = "state", index = Infinity, bounds = null;
 
   // -- talking to the kernel: the newest wish wins ---------------------------------------------------
 
@@ -63,8 +63,9 @@ function render({ model, el }) {
   function curveArrived() {
     drawChart();
     drawScene();
-    const curve = model.get("curve");
-    if (!curve.done && !busy && !wish) model.send({ do: "idle" });
+    if (busy || wish || model.get("curve").done) return;
+    if (model.get("picture").pending) rest(); // what a look lacks waits for a pause
+    else model.send({ do: "idle" });
   }
 
   function layerArrived() {
@@ -102,8 +103,8 @@ function render({ model, el }) {
       else mark(index + 1);
     }, PLAY);
   });
-  lab.view.addEventListener("change", () => {
-    view = lab.view.value;
+  lab.zoom.addEventListener("change", () => {
+    zoom = lab.zoom.value;
     drawScene();
   });
   lab.layer.addEventListener("change", layerArrived);
@@ -156,13 +157,14 @@ function render({ model, el }) {
     lab.stepName.textContent = `${chosen.name}${subscript(chosen.k)} (${k + 1} of ${sequence.length})`;
     lab.step.setAttribute("aria-valuetext", `${chosen.name} ${chosen.k}`);
     const scene = lab.scene;
-    for (const option of lab.view.options) option.disabled = !picture[option.value];
-    if (!picture[view]) view = lab.view.value = "state";
-    bounds = frame(view === "state" ? [...picture.state, ...(picture.witness || [])] : picture[view]);
+    const seen = (points) => Boolean(points && points.length); // a section may miss a set
+    for (const option of lab.zoom.options) option.disabled = !seen(picture[option.value]);
+    if (!seen(picture[zoom])) zoom = lab.zoom.value = "state";
+    bounds = frame(zoom === "state" ? [...picture.state, ...(picture.witness || [])] : picture[zoom]);
     const place = ([x, y]) => [bounds.x(x), bounds.y(y)];
     const path = (points, closed) =>
-      "M" + points.map((p) => place(p).map((c) => c.toFixed(2)).join(",")).join("L") + (closed ? "Z" : "");
-    const shape = (points, name) => draft("path", { d: path(points, points.length > 2), class: name });
+      points.length && "M" + points.map((p) => place(p).map((c) => c.toFixed(2)).join(",")).join("L") + (closed ? "Z" : "");
+    const shape = (points, name) => draft("path", { d: path(points, points.length > 2) || "", class: name });
     const line = (points, name) => draft("path", { d: path(points, false), class: `line ${name}` });
     const parts = picture.regions.map((points) => shape(points, "region"));
     parts.push(shape(picture.state, "state"));
@@ -185,21 +187,29 @@ function render({ model, el }) {
     const [cx, cy] = place(picture.centre);
     parts.push(draft("path", { d: `M${cx - 5},${cy}H${cx + 5}M${cx},${cy - 5}V${cy + 5}`, class: "centre" }));
     scene.marks.replaceChildren(...parts);
-    scene.axes.replaceChildren(...axes(bounds));
+    scene.axes.replaceChildren(...axes(bounds, picture.axes.map(([, name]) => name)));
+    lab.caption.textContent = picture.caption;
     placeStart();
-    scene.svg.setAttribute("aria-label", `The plane of states. ${picture.verdict}. Marked set: ${chosen.name} ${chosen.k}.`);
+    scene.svg.setAttribute("aria-label", `${picture.caption || "The plane of states."} ${picture.verdict}. Marked set: ${chosen.name} ${chosen.k}.`);
     lab.root.dataset.chosen = `${chosen.name}${chosen.k}`;
+    lab.root.dataset.pending = picture.pending;
     for (const [name, item] of Object.entries(lab.legend)) item.hidden = !shown(name, picture, curve, rings);
+  }
+
+  function drawnNames() {
+    // the names of the two settings that the picture shows of the initial state
+    return model.get("picture").axes.map(([axis]) => `x${axis + 1}`);
   }
 
   function placeStart() {
     // where the initial state is, or at the edge of the picture nearest to it
-    const { x1, x2 } = settings, clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+    const [x, y] = drawnNames().map((name) => settings[name]), clamp = (value, low, high) => Math.min(Math.max(value, low), high);
     const start = lab.scene.start;
-    start.setAttribute("cx", clamp(bounds.x(x1), EDGE.left, SIZE - EDGE.right));
-    start.setAttribute("cy", clamp(bounds.y(x2), EDGE.top, SIZE - EDGE.bottom));
-    start.setAttribute("aria-valuenow", x1);
-    start.setAttribute("aria-valuetext", `x1 = ${x1}, x2 = ${x2}`);
+    start.setAttribute("cx", clamp(bounds.x(x), EDGE.left, SIZE - EDGE.right));
+    start.setAttribute("cy", clamp(bounds.y(y), EDGE.top, SIZE - EDGE.bottom));
+    start.setAttribute("aria-valuenow", x);
+    const states = Object.keys(settings).filter((name) => /^x\d+$/.test(name));
+    start.setAttribute("aria-valuetext", states.map((name) => `${name} = ${settings[name]}`).join(", "));
   }
 
   function drawChart() {
@@ -230,7 +240,7 @@ function render({ model, el }) {
     } else if (curve.settled) parts.push(words(width / 2, above + 30, "no F_max for any amount tried", "middle"));
     parts.push(draft("path", { d: `M${x(settings.amount)},${above}V${base}`, class: "now" }));
     lab.chart.replaceChildren(...parts);
-    lab.chart.setAttribute("aria-label", curve.summary || "Area of F_max over the disturbance: not computed yet.");
+    lab.chart.setAttribute("aria-label", curve.summary || `${model.get("about").size} of F_max over the disturbance: not computed yet.`);
     lab.root.dataset.largest = curve.settled ? curve.largest : "";
   }
 
@@ -238,10 +248,12 @@ function render({ model, el }) {
 
   function move(x, y) {
     const clip = (value, control) => Math.min(Math.max(value, control.low), control.high);
-    const x1 = clip(Math.round(x * 100) / 100, inputs.x1.control), x2 = clip(Math.round(y * 100) / 100, inputs.x2.control);
-    settings = { ...settings, x1, x2 };
-    inputs.x1.show(x1);
-    inputs.x2.show(x2);
+    const names = drawnNames();
+    [x, y].forEach((value, i) => {
+      const moved = clip(Math.round(value * 100) / 100, inputs[names[i]].control);
+      settings = { ...settings, [names[i]]: moved };
+      inputs[names[i]].show(moved);
+    });
     placeStart();
     ask();
   }
@@ -262,8 +274,8 @@ function render({ model, el }) {
     if (!way) return;
     event.preventDefault();
     event.stopPropagation();
-    const reach = (event.shiftKey ? 10 : 1) * inputs.x1.control.step;
-    move(settings.x1 + way[0] * reach, settings.x2 + way[1] * reach);
+    const [x, y] = drawnNames(), reach = (event.shiftKey ? 10 : 1) * inputs[x].control.step;
+    move(settings[x] + way[0] * reach, settings[y] + way[1] * reach);
   });
 
   // -- files -----------------------------------------------------------------------------------------
@@ -302,7 +314,7 @@ function render({ model, el }) {
 
 let pages = 0;
 
-function build(controls) {
+function build(controls, about) {
   const page = `mireach-lab-${Date.now().toString(36)}-${pages++}`;
   const inputs = {}, rows = [];
   for (const control of controls) {
@@ -334,11 +346,12 @@ function build(controls) {
   const step = node("input", { type: "range", id: `${page}-step`, min: 0, max: 0, step: 1 });
   const stepName = node("output", { for: `${page}-step`, class: "step-name" });
   const play = node("button", { type: "button", "aria-pressed": "false" }, "▶ play");
-  const view = node("select", { id: `${page}-view` }, ...Object.entries(VIEWS).map(([value, text]) => node("option", { value }, text)));
+  const zoom = node("select", { id: `${page}-zoom` }, ...Object.entries(ZOOMS).map(([value, text]) => node("option", { value }, text)));
   const layer = node("input", { type: "checkbox", id: `${page}-layer` });
   const timeline = node("div", { class: "timeline" }, play, node("label", { for: `${page}-step` }, "set"), step, stepName,
-    node("label", { for: `${page}-view` }, "show"), view,
-    node("span", {}, layer, node("label", { for: `${page}-layer` }, "with the maximal safe set, without a template")));
+    node("label", { for: `${page}-zoom` }, "show"), zoom);
+  if (about.maximal)
+    timeline.append(node("span", {}, layer, node("label", { for: `${page}-layer` }, "with the maximal safe set, without a template")));
 
   const legend = {
     maximal: "maximal safe set", safe: "F_max", earlier: "F_k", reach: "R_k", terminal: "terminal set", chosen: "marked set", disturbed: "disturbed",
@@ -356,6 +369,7 @@ function build(controls) {
     items[name] = node("span", { class: "item" }, swatch, node("span", {}, ...parts));
   }
 
+  const caption = node("p", { class: "caption view" });
   const verdict = node("p", { class: "verdict", role: "status", "aria-live": "polite" });
   const facts = node("dl", { class: "facts" });
   const chart = draft("svg", { viewBox: `0 0 ${CHART.width} ${CHART.height}`, class: "chart", role: "img" });
@@ -366,14 +380,14 @@ function build(controls) {
   };
   const amount = controls.find((control) => control.name === "amount");
   const root = node("div", { class: "columns", role: "group" },
-    node("div", { class: "left" }, verdict, scene.svg, timeline, node("div", { class: "legend" }, ...Object.values(items))),
+    node("div", { class: "left" }, verdict, scene.svg, timeline, node("div", { class: "legend" }, ...Object.values(items)), caption),
     node("div", { class: "right" },
       node("div", { class: "controls" }, ...rows),
       facts,
-      node("p", { class: "caption" }, `Area of F_max over “${amount.label}”; ✕: none found`),
+      node("p", { class: "caption" }, `${about.size} of F_max${power(about)} over “${amount.label}”${unit(amount)}; ✕: none found`),
       chart,
       node("div", { class: "save" }, node("span", {}, "Save:"), ...Object.values(save))));
-  return { root, inputs, scene, step, stepName, play, view, layer, legend: items, verdict, facts, chart, save };
+  return { root, inputs, scene, step, stepName, play, zoom, layer, legend: items, caption, verdict, facts, chart, save };
 }
 
 function numeric(control, id) {
@@ -384,7 +398,7 @@ function numeric(control, id) {
   let shown = "";
   return {
     control,
-    elements: slider ? [slider, box] : [box],
+    elements: [...(slider ? [slider] : []), box, ...(control.unit ? [node("span", {}, control.unit)] : [])],
     show(value, own = false) {
       shown = String(Math.round(value * 1e6) / 1e6);
       if (slider) slider.value = shown;
@@ -412,10 +426,19 @@ function choice(control, id) {
 function shown(name, picture, curve, rings) {
   const there = {
     maximal: rings.length,
-    safe: picture.safe, terminal: picture.terminal, reach: picture.terminal, plant: picture.plant, witness: picture.witness,
+    safe: picture.safe?.length, terminal: picture.terminal?.length, reach: picture.terminal, plant: picture.plant, witness: picture.witness,
     largest: !picture.safe && curve.largest_set,
   };
   return name in there ? Boolean(there[name]) : true;
+}
+
+function unit(control) {
+  return control.unit ? ` (${control.unit})` : "";
+}
+
+function power({ unit, n }) {
+  // the unit of a size in R^n
+  return unit ? ` (${unit}${{ 2: "²", 3: "³" }[n] || `^${n}`})` : "";
 }
 
 // -- small things ------------------------------------------------------------------------------------
@@ -464,7 +487,7 @@ function frame(points) {
   };
 }
 
-function axes(bounds) {
+function axes(bounds, names) {
   const right = SIZE - EDGE.right, bottom = SIZE - EDGE.bottom;
   const parts = [draft("rect", { x: EDGE.left, y: EDGE.top, width: right - EDGE.left, height: bottom - EDGE.top, class: "axis" })];
   for (const value of ticks(bounds.left(EDGE.left), bounds.left(right), 7)) {
@@ -475,7 +498,10 @@ function axes(bounds) {
     parts.push(draft("path", { d: `M${EDGE.left},${bounds.y(value)}h-4`, class: "axis" }));
     parts.push(words(EDGE.left - 7, bounds.y(value) + 4, number(value), "end"));
   }
-  parts.push(words((EDGE.left + right) / 2, SIZE - 3, "x₁", "middle"), words(10, (EDGE.top + bottom) / 2, "x₂", "middle"));
+  parts.push(words((EDGE.left + right) / 2, SIZE - 3, names[0], "middle"));
+  const name = words(10, (EDGE.top + bottom) / 2, names[1], "middle");
+  if (names[1].length > 2) name.setAttribute("transform", `rotate(-90 10 ${(EDGE.top + bottom) / 2})`);
+  parts.push(name);
   return parts;
 }
 
