@@ -318,9 +318,9 @@ for count in (8, 16, 32):
 # %% [markdown]
 # ## 5 More than two states
 #
-# The cells are limited to two states. For $n > 2$ the engine is the MILP of Lemma 2, which `mireach` then selects by
-# itself. The example has three coupled first-order systems, the last of them unstable, and a saturated LQR. The
-# template is a box, i.e. 6 directions:
+# The same calls work for more states. `mireach` computes the cells of the loop for up to six states and 200,000 cells,
+# and uses the MILP of Lemma 2 otherwise (notebook 14). The example has three coupled first-order systems, the last of
+# them unstable, and a saturated LQR. The template is a box, i.e. 6 directions:
 
 # %%
 A3 = np.array([[0.8, 0.3, 0.0], [0.0, 0.7, 0.3], [0.0, 0.0, 1.05]])
@@ -331,14 +331,14 @@ K3 = lqr(A3, B3, np.eye(3), np.eye(1))
 loop3 = mr.ClosedLoop(system3, mr.MaxoutNetwork.from_torch(saturated_law(K3, 1.0)).saturate(-1, 1))
 
 # %% tags=["nbval-check-output"]
-safe3, terminal3 = certify(loop3, mr.box_directions(3), "milp", epsilon=0.1, max_steps=60)
+safe3, terminal3 = certify(loop3, mr.box_directions(3), epsilon=0.1)
 print(f"{entered(loop3, safe3, terminal3)[0]} for 200 disturbed trajectories")
 
 # %% [markdown]
-# Each step solves six MILPs. Their time depends on the number of binaries that the bounds do not fix, so it grows with
-# the size of the set and of the network. Begin with a coarse template and a large $\bar\epsilon$. Pass
-# `engine=mr.Milp(time_limit=...)` to limit the time of a call. `mireach.approximation.error_directions(3)` is a
-# template of 18 directions for three states.
+# The number of cells grows with the network, and their vertices with the number of states. With the MILP, the time of a
+# step depends on the number of binaries that the bounds do not fix; `engine=mr.Milp(time_limit=...)` limits the time of
+# a call. Begin with a coarse template and a large $\bar\epsilon$. `mr.directions(count, 3)` spreads a finer template
+# evenly.
 
 # %% [markdown]
 # ## 6 When something does not fit
@@ -351,7 +351,7 @@ def show(what, attempt):
     """Run a wrong call and print the error message."""
     try:
         attempt()
-    except ValueError as error:
+    except (ValueError, mr.CellLimitError) as error:
         print(f"{what}:\n    {error}\n")
 
 
@@ -361,7 +361,7 @@ show("regions with a gap", lambda: mr.PWASystem([mode], X, U))
 show("a network that leaves U", lambda: mr.ClosedLoop(spring(0.1), mr.MaxoutNetwork((), [[3.0, 3.0]], [0.0])))
 tanh = torch.nn.Sequential(torch.nn.Linear(2, 4), torch.nn.Tanh(), torch.nn.Linear(4, 1))
 show("a network that is not piecewise affine", lambda: mr.MaxoutNetwork.from_torch(tanh))
-show("cells in three dimensions", lambda: mr.safe_set(loop3, engine="cells"))
+show("too many cells", lambda: mr.safe_set(loop3, engine=mr.Cells(limit=1)))
 show("a terminal set without a safe set", lambda: mr.terminal_set(rough, none_found))
 
 # %% [markdown]
@@ -372,7 +372,7 @@ show("a terminal set without a safe set", lambda: mr.terminal_set(rough, none_fo
 #   exactly.
 # - A nonlinear plant needs a fit and a *proven* error. Then Theorem 2 applies to the plant itself.
 # - If no safe set is found, the result contains a witness, and the witness shows where to look.
-# - For more than two states `mireach` uses the MILP, with the same calls.
+# - The same calls work for more than two states, with the cells or the MILP.
 #
 # ## On your own
 #
