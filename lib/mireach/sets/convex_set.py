@@ -434,6 +434,8 @@ class ConvexSet:
         (False, True)
         """
         self._require_same_space(Q, "inclusion")
+        if np.array_equal(self.H, Q.H) and (self.h <= Q.h).all():
+            return True
         if self._is_fat:
             found = self._plane
             least, answer = inclusion(Q.H, Q.h, found.local, found.row, found.offset, found.unit)
