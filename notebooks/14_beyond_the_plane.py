@@ -466,7 +466,7 @@ four = mr.case_study("four_tanks")
 loops = {"three tanks": loop, "four tanks": four.loop}
 loops |= {f"n = {n}, ReLU 2 x {w}": random_loop(n, w) for n, w in ((3, 16), (4, 8), (4, 16), (4, 32))}
 found = {}
-print("seconds; the cells of the three tanks are there already")
+print("times in seconds; the cells of the three tanks were computed above")
 print(f"{'':20}{'cells':>8}{'build':>9}{'step':>9}{'MILP':>9}{'exact':>9}")
 for name, each in loops.items():
     n, begin = each.system.state_size, perf_counter()
@@ -595,9 +595,10 @@ for name, C in templates.items():
 failed = mr.safe_set(rough, BOX, max_iterations=300)
 print(f"{failed.verdict}: {failed.reason}")
 top = mr.support(rough, failed.history[-1], [[1, 0, 0]]).witness[0]  # the step that leads to the largest x1
-print("x1 is largest after", top)
+print("the step to the largest x1:", top)
 low = -mr.safe_set(rough, templates["box and -(1, 1, 2)"]).set.support([[-1, -1, -2]])[0]
-print(f"x1 + x2 + 2 x3 = {top.states[0] @ [1, 1, 2]:.1f} before it; at least {low:.1f} in F_max by box and -(1, 1, 2)")
+print(f"x1 + x2 + 2 x3 = {top.states[0] @ [1, 1, 2]:.1f} before this step")
+print(f"in the F_max of box and -(1, 1, 2), x1 + x2 + 2 x3 >= {low:.1f}")
 
 # %% [markdown]
 # **What to see.** For $|d|_\infty \le 0.5$ the box finds no safe set. *refuted* means that this sequence ended without
