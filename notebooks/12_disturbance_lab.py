@@ -138,11 +138,14 @@ for regions in (2, 3, 4):
 # ## 3. Three tanks: a loop with three states
 
 # %% [markdown] tags=["course"]
-# The states are the levels of three tanks in a row, in cm, relative to their set points (notebook 14). A set of
-# $\mathbb{R}^3$ does not fit into the plane. A *view* states what is drawn of it:
+# The states are the levels of three tanks in a row, in cm, relative to their set-points (notebook 14). A set of
+# $\mathbb{R}^3$ cannot be drawn in the plane as it is. The *view* determines what the lab draws:
 #
-# - the *projection* $\{(x_1, x_2) : x \in \mathcal{F}\}$ onto two coordinates, i.e. the shadow of the set;
-# - the *section* $\{(x_1, x_2) : x \in \mathcal{F}\}$ for one fixed value of the third coordinate.
+# - the *projection* $\{(x_1, x_2) : x \in \mathcal{F} \text{ for some } x_3\}$ onto two coordinates, i.e. the shadow of
+#   the set;
+# - the *section* $\{(x_1, x_2) : x \in \mathcal{F}\}$ for one fixed value of $x_3$.
+#
+# Other pairs of coordinates can be chosen in the same way.
 
 # %% tags=["course"]
 tanks = lab.subject("three_tanks")
@@ -150,10 +153,10 @@ sections = [(f"only $x_3 = {level}$ cm", {"view": "section 1 2", "x3": level}) f
 small_multiples(tanks, [("any $x_3$", {}), *sections])
 
 # %% [markdown] tags=["course"]
-# **What to see.** The projection of $\mathcal{F}_{\max}$ (left) is a square. The sections lack a corner of it. There
-# $(x_1, x_2)$ lies in the projection, but with this $x_3$ the state is outside $\mathcal{F}_{\max}$: the three levels
-# must not all be low. The section for $x_3 = 3$ cm does not meet the terminal set at all. Trajectories leave the
-# section, so every view draws their projection.
+# **What to see.** The projection of $\mathcal{F}_{\max}$ (left) is a square. In the sections, the lower left corner of
+# this square is missing. A state there has its projection in the square, but it is outside $\mathcal{F}_{\max}$: the
+# three levels must not all be low. The section at $x_3 = 3$ cm does not meet the terminal set at all. Trajectories do
+# not stay in a section, so all views show their projection.
 
 # %% tags=["course", "nbval-check-output"]
 look = lab.look(tanks, {"x1": 5, "x2": 5, "x3": -1})
@@ -164,13 +167,13 @@ print(f"from {x[0]} the nominal trajectory enters the projection of the terminal
 print(f"and the terminal set itself at step {inside.argmax()}")
 
 # %% [markdown] tags=["course"]
-# **What to see.** A state whose projection lies in the projection of a set need not lie in the set. This is why the lab
-# states, beside the picture, whether the initial state lies in $\mathcal{F}_{\max}$.
+# **What to see.** A state whose projection lies in the projection of a set need not lie in the set. So the lab also
+# states, next to the picture, whether the initial state lies in $\mathcal{F}_{\max}$.
 #
-# **The lab.** Choose the *view*. The red ring changes the two coordinates that are drawn. The third one keeps the value
-# of its own slider. In a section this slider moves the section, which always passes through the initial state. While
-# you drag the bound, the lab shows $\mathcal{F}_{\max}$ and the trajectories. The terminal set takes some tenths of a
-# second; it follows when you pause.
+# **The lab.** Choose the *view*. The red ring changes the two coordinates that are drawn. The third coordinate has its
+# own slider. A section always passes through the initial state, so this slider also moves the section. While you drag
+# the bound, the lab updates $\mathcal{F}_{\max}$ and the trajectories. The terminal set takes some tenths of a second;
+# the lab updates it when you pause.
 
 # %%
 lab.DisturbanceLab("three_tanks")

@@ -11,17 +11,17 @@
 # %% [markdown]
 # # Beyond the plane: three and four tanks
 #
-# Most plants have more than two states. Nothing in the paper's method needs the plane: the definitions, the template
-# sets and the MILP of Lemma 2 are the same for any $n$. But a set of $\mathbb{R}^3$ is harder to draw, and a network
-# divides space into far more pieces than the plane.
+# Most plants have more than two states. The paper's method is not limited to two: the definitions, the template sets
+# and the MILP of Lemma 2 are the same for any number $n$ of states. But a set of $\mathbb{R}^3$ is harder to draw than
+# one of $\mathbb{R}^2$, and a network divides $\mathbb{R}^3$ into far more pieces.
 #
 # **What you will do.** Model three tanks as a piecewise-affine system. Look at the cells of the loop, which are
-# polytopes of $\mathbb{R}^3$. Follow every set of both iterations in space. Compare the cells with the MILP, for
-# different networks and for four tanks.
+# polytopes of $\mathbb{R}^3$. Follow every set $\mathcal{F}_k$ and $\overline{\mathcal{R}}_k$ in space. Compare the
+# engines `cells` and `milp`, for different networks and for four tanks.
 #
 # **What you will learn.**
 # - what a cell is for $n = 3$, and how it gives a one-step set without a solver;
-# - why a trajectory can be in every projection of a set, and not in the set;
+# - why a state can lie in every projection of a set, but not in the set;
 # - how the number of cells grows with $n$ and with the network, and when the MILP is the better choice;
 # - how the template decides whether a safe set is found;
 # - how *bound by a solver* differs from *proven*.
@@ -52,8 +52,8 @@ print(tanks)
 # %% [markdown]
 # ## 1. Three tanks
 #
-# Two pumps fill the outer tanks, and a drain empties the middle one. Each outer tank is joined to the middle one by a
-# pipe at the bottom, and by another one at a height of 30 cm.
+# Two pumps fill the outer tanks, and a drain empties the middle one. Each outer tank is connected to the middle one by
+# a pipe at the bottom and by a second pipe at a height of 30 cm.
 
 
 # %%
@@ -100,9 +100,9 @@ draw_tanks(ax)
 plt.show()
 
 # %% [markdown]
-# **The plant.** All tanks have the area $A_T = 154$ cm², all pipes and the drain the cross-section $S = 0.2$ cm². By
-# Torricelli's law water flows out of a hole a height $z$ below the surface at the speed $\sqrt{2 g z}$. So while
-# $h_3 \le h_1, h_2$ and $h_3 \le h_v$, with $h_v = 30$ cm,
+# **The plant.** All tanks have the area $A_T = 154$ cm², and all pipes and the drain have the cross-section $S = 0.2$
+# cm². By Torricelli's law, water flows through an opening at depth $z$ below the surface at the speed $\sqrt{2 g z}$.
+# So while $h_3 \le h_1, h_2$ and $h_3 \le h_v$, with $h_v = 30$ cm,
 #
 # $$ A_T \dot h_i = Q_i - q_i \ \ (i = 1, 2), \qquad A_T \dot h_3 = q_1 + q_2 - S \sqrt{2 g h_3}, $$
 # $$ q_i = S \sqrt{2 g (h_i - h_3)} + \begin{cases} S \sqrt{2 g (h_i - h_v)} & \text{if } h_i \ge h_v, \\
@@ -110,24 +110,26 @@ plt.show()
 #
 # **The model.** As in the literature on this benchmark, the square roots are replaced by secants from zero to the
 # largest value, $S\sqrt{2 g z} \approx \big(S \sqrt{2 g / z_{\max}}\big) z$, with $z_{\max} = h_{\max} = 62$ cm for the
-# bottom pipes and the drain, and $z_{\max} = h_{\max} - h_v = 32$ cm for the upper pipes. One Euler step of $T = 10$ s
-# gives
+# bottom pipes and the drain, and $z_{\max} = h_{\max} - h_v = 32$ cm for the upper pipes. The model also uses the
+# linear flow of the bottom pipes where $h_3 > h_i$ and water flows back. One Euler step of $T = 10$ s gives
 #
 # $$ x_i^+ = x_i - \kappa_0 (x_i - x_3) - \sigma_i \kappa_v x_i + b\, u_i + d_i \ \ (i = 1, 2), $$
 # $$ x_3^+ = x_3 + \textstyle\sum_{i=1,2} \big( \kappa_0 (x_i - x_3) + \sigma_i \kappa_v x_i \big)
 #    - \kappa_0 x_3 + d_3, $$
 #
-# where $x$ is the deviation of the levels from $(30, 30, 20)$ cm, and $u$ the deviation of the pumps from the flow that
-# keeps these levels, in units of the largest flow, 100 cm³/s. $\sigma_i = 1$ if tank $i$ stands above its upper pipe,
-# $x_i \ge 0$, and $\sigma_i = 0$ if $x_i \le 0$. So there are **four modes**, and
+# with $\kappa_0 = \frac{T S}{A_T} \sqrt{2 g / h_{\max}}$, $\kappa_v = \frac{T S}{A_T} \sqrt{2 g / (h_{\max} - h_v)}$
+# and $b = \frac{T}{A_T} \cdot 100$ cm³/s. Here $x$ is the deviation of the levels from $(30, 30, 20)$ cm, and $u$ is
+# the deviation of the pump flows from the flows that keep these levels, in units of the largest flow, 100 cm³/s.
+# $\sigma_i = 1$ if the level of tank $i$ is above the upper pipe, $x_i \ge 0$, and $\sigma_i = 0$ if $x_i \le 0$. So
+# there are **four modes**, and
 #
 # $$ A = \begin{pmatrix} 1 - \kappa_0 - \sigma_1 \kappa_v & 0 & \kappa_0 \\
 #    0 & 1 - \kappa_0 - \sigma_2 \kappa_v & \kappa_0 \\
 #    \kappa_0 + \sigma_1 \kappa_v & \kappa_0 + \sigma_2 \kappa_v & 1 - 3 \kappa_0 \end{pmatrix}, \qquad
 #    B = \begin{pmatrix} b & 0 \\ 0 & b \\ 0 & 0 \end{pmatrix}, \qquad p = 0. $$
 #
-# The limits are $\mathcal{X} = \{x : |x|_\infty \le 10 \text{ cm}\}$, $\mathcal{D} = \{d : |d|_\infty \le 0.2
-# \text{ cm}\}$, and $\mathcal{U}$, which is *pump off* to *full flow*, in both inputs.
+# The limits are $\mathcal{X} = \{x : |x|_\infty \le 10 \text{ cm}\}$ and $\mathcal{D} = \{d : |d|_\infty \le 0.2
+# \text{ cm}\}$. The input set $\mathcal{U}$ is a box: each pump may run at any flow from zero to the largest.
 
 # %% tags=["nbval-check-output"]
 T, A_T, S, g = 10.0, 154.0, 0.2, 981.0  # s, cm^2, cm^2, cm/s^2
@@ -143,18 +145,20 @@ lower, upper = U.bounding_box()
 print(f"U = [{lower[0]:.4f}, {upper[0]:.4f}]^2")
 
 # %% [markdown]
-# **What to see.** The set-point lies exactly at the upper pipes, so all four modes meet there, and a disturbance of two
-# millimetres decides which one is active. The pumps can add up to 5.8 cm per step, but if they are off, only 0.7 cm per
-# step less than at rest flows in. And $u$ acts on $x_3$ only through the outer tanks, a step later.
+# **What to see.** The set-point of the outer levels is exactly the height of the upper pipes. So all four modes meet at
+# the origin, and near it a disturbance of two millimetres decides which one is active. At full flow, a pump adds 5.8 cm
+# per step more to its tank than at the set-point. A pump that is off adds only 0.7 cm per step less. So the controller
+# can raise the levels much faster than it can lower them. The input acts on $x_3$ only through the outer tanks, one
+# step later.
 #
 # The controller $u = \Phi(x)$ is a maxout network that was trained on solutions of a mixed-integer MPC.
 
 # %% [markdown]
 # ## 2. Cells in space
 #
-# On which part of $\mathcal{X}$ is the loop affine? Where one mode is active and every neuron follows the same channel.
-# These conditions are linear inequalities in $x$, so the part is a polytope of $\mathbb{R}^3$, a **cell**. On it
-# $x^+ = M x + c + d$.
+# On which parts of $\mathcal{X}$ is the loop affine? Fix the active mode, and for every neuron the channel that attains
+# the maximum. The states with this mode and these channels satisfy a set of linear inequalities, so they form a
+# polytope of $\mathbb{R}^3$, a **cell**. On it, $x^+ = M x + c + d$.
 
 # %% tags=["nbval-check-output"]
 every = dynamics(loop, 500_000)  # raises an error if there are more cells
@@ -167,8 +171,8 @@ print(
 print("cells of modes 1 to 4:", np.bincount(mode_of))
 
 # %% [markdown]
-# `mireach` stores a cell by its inequalities, by its vertices, and by the inequalities that are *tight* at each vertex,
-# those that hold with equality. This is one of the cells with the fewest vertices:
+# `mireach` stores for each cell its inequalities, its vertices, and the inequalities that are *tight* at each vertex,
+# i.e. hold with equality. Here is a cell with only four vertices:
 
 # %% tags=["nbval-check-output"]
 i = int(np.flatnonzero((corners == 4) & (mode_of == 3))[0])
@@ -182,13 +186,13 @@ for x, row in zip(cells.vertices(i), tight[:, facets]):
     print(f"vertex {np.round(x, 3) + 0.0}, tight: {' '.join(letter for letter, on in zip('abcd', row) if on)}")
 
 # %% [markdown]
-# **What to see.** The cell is a tetrahedron. Three planes meet at each vertex, and two vertices that share two of them
-# are the ends of an edge. A new inequality, from the next neuron, cuts the cell in two: every vertex goes to one side,
-# and each edge that crosses the plane gives a new vertex. No solver is needed for this. It works in the same way for
-# any $n$, with $n - 1$ common rows instead of two (and a check for degenerate vertices, where more than $n$ rows are
-# tight).
+# **What to see.** The cell is a tetrahedron. Three facets meet at each vertex, and two vertices that have two facets in
+# common are the ends of an edge. The next neuron adds a plane that may cut the cell in two. Then every vertex belongs
+# to one of the two parts, and each edge that crosses the plane gives a new vertex of both. No solver is needed for
+# this. The same works for any $n$: the ends of an edge have $n - 1$ tight rows in common. (Degenerate vertices, where
+# more than $n$ rows are tight, need an additional check.)
 #
-# The next figure cuts all cells by the plane $x_3 = 0$ (`Polytope.section`).
+# The next figure shows the section of all cells at $x_3 = 0$ (`Polytope.section`).
 
 # %%
 TINTS = np.array(["#CDE4F2", "#FBE5B9", "#C4E8DC", "#F6D3C0"])  # one per mode
@@ -214,9 +218,9 @@ fig.colorbar(plt.cm.ScalarMappable(plt.Normalize(lower[0], upper[0]), "cividis")
 plt.show()
 
 # %% [markdown]
-# **What to see.** The modes are the quadrants of $(x_1, x_2)$, and the network divides each of them. Pump 1 is off
-# (dark) if tank 1 is too full. A section is a polygon for every cell that it meets, but you see neither the other cells
-# nor how far a cell extends along $x_3$. Here are the six largest cells in space:
+# **What to see.** The modes are the quadrants of $(x_1, x_2)$, and the network divides each of them. Where tank 1 is
+# too full, pump 1 is off (dark). The section shows a polygon for each cell that meets the plane. It does not show the
+# other cells, or how far a cell extends along $x_3$. Here are the six largest cells in space:
 
 # %%
 size = np.array([ConvexHull(cells.vertices(j), qhull_options="QJ").volume for j in range(len(cells))])
@@ -234,14 +238,14 @@ plt.show()
 # %% [markdown]
 # ### One step, without a solver
 #
-# The support function of $\mathcal{R}_1(\mathcal{F})$ is a maximum over the cells that meet $\mathcal{F}$, and a linear
-# function on a polytope is largest at a vertex:
+# The support function of $\mathcal{R}_1(\mathcal{F})$ is a maximum over the cells that meet $\mathcal{F}$. A linear
+# function on a polytope attains its maximum at a vertex, so
 #
 # $$ h_{\mathcal{R}_1(\mathcal{F})}(v) = \max_{\text{cells } \mathcal{C}} \ \max_{x \text{ vertex of }
 #    \mathcal{C} \cap \mathcal{F}} v (M x + c) + h_{\mathcal{D}}(v). $$
 #
-# For $\mathcal{F} = \mathcal{X}$ these are the vertices that we have already. The MILP of Lemma 2 gives the same
-# numbers.
+# For $\mathcal{F} = \mathcal{X}$ these are the vertices of the cells themselves, which we already have. The MILP of
+# Lemma 2 gives the same numbers.
 
 # %% tags=["nbval-check-output"]
 V = mr.box_directions(3)
@@ -272,10 +276,11 @@ plotting.plot_history(axes, safe.history)
 plt.show()
 
 # %% [markdown]
-# **What to see.** Each panel shows one set (blue) over its predecessors (grey). The set loses a little more at the top
-# of $x_1$ and $x_2$ in every iteration, and at the bottom of $x_3$: if both outer levels are 10 cm too high, water
-# flows into the middle tank for every input, and raises its level above the limit. $\mathcal{F}_{\max}$ excludes these
-# states. The slanted facet at the bottom belongs to $-(1, 1, 2)$. Volumes are of the state space, not of water.
+# **What to see.** Each panel shows one set (blue) and its predecessors (grey). In every iteration the upper limits of
+# $x_1$ and $x_2$ decrease, and the lower limit of $x_3$ increases. $\mathcal{F}_0 = \mathcal{X}$ itself is not safe: if
+# all three levels are 10 cm too high, more water flows into the middle tank than out of it, whatever the input, and its
+# level exceeds the limit. $\mathcal{F}_{\max}$ excludes these states. The slanted facet at the bottom belongs to the
+# row $-(1, 1, 2)$. (The volumes are those of sets in the state space, not amounts of water.)
 
 # %% tags=["nbval-check-output"]
 terminal = mr.terminal_set(loop, safe, tanks.directions)
@@ -289,8 +294,8 @@ plotting.plot_history(axes, terminal.history, [0, 2, 4, 6, 8, 12, 20, terminal.s
 plt.show()
 
 # %% [markdown]
-# These are eight of the 38 sets. The next figure shows all of them, as projections onto the coordinate planes. Darker
-# is later, and the last one is blue.
+# These are eight of the 38 sets. The next figure shows all of them, as projections onto the coordinate planes. Later
+# sets are darker, and the last one is blue.
 
 # %%
 fig, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
@@ -298,7 +303,8 @@ plotting.plot_planes(axes, terminal.history, chosen=range(terminal.steps + 1), n
 plt.show()
 
 # %% [markdown]
-# Both sequences in space, each in one picture, $\overline{\mathcal{R}}_k$ from step 12 on:
+# The next figure shows each sequence in one picture: all sets $\mathcal{F}_k$, and some of the sets
+# $\overline{\mathcal{R}}_k$ from step 12 on.
 
 # %%
 fig, (left, right) = plt.subplots(1, 2, figsize=(9.4, 4.8), layout="constrained", subplot_kw={"projection": "3d"})
@@ -309,8 +315,8 @@ for ax in (left, right):
 plt.show()
 
 # %% [markdown]
-# The sliders show every set of both sequences, $\overline{\mathcal{R}}_k$ from step 12 on at a larger scale. They need
-# a running kernel; without one, use the panels above.
+# With the sliders you can step through every set of both sequences. From step 12 on, $\overline{\mathcal{R}}_k$ is
+# drawn at a larger scale. The sliders need a running kernel; without one, use the panels above.
 
 
 # %%
@@ -340,8 +346,8 @@ step_viewer(in_space(draw_terminal_step), len(terminal.history))
 # %% [markdown]
 # ### Trajectories
 #
-# We test the sets by simulation: 2,000 random initial states, with a vertex of $\mathcal{D}$ as disturbance in every
-# step.
+# We test the sets by simulation: 2,000 random initial states in $\mathcal{F}_{\max}$, with a random vertex of
+# $\mathcal{D}$ as the disturbance in every step.
 
 # %% tags=["nbval-check-output"]
 rng = np.random.default_rng(0)
@@ -369,21 +375,23 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** Left: all trajectories stay in the green set and end in the small blue one. Right, at a larger scale:
-# the disturbance moves them about in it, but never out of it. They fill only a part of the set, because random
-# disturbances rarely add up to the worst case, and because the set has only eight facets.
+# the disturbance keeps the state moving inside the blue set, but never drives it out. The trajectories fill only a part
+# of this set, for two reasons: random disturbances rarely add up to the worst case, and a set with only eight facets is
+# an over-approximation.
 
 # %% [markdown]
-# ## 4. Projection against section
+# ## 4. Projections and sections
 #
-# A picture of the plane shows a set of $\mathbb{R}^3$ as a *projection*, the shadow of the set, or as a *section*, what
-# a plane cuts out of it. With the other coordinates $y$,
+# A two-dimensional picture shows a set of $\mathbb{R}^3$ either as a *projection*, which is the shadow of the set, or
+# as a *section*, which is its intersection with a plane. Let $y$ denote the coordinates that are not drawn, here $x_3$.
+# Then
 #
 # $$ \text{projection} = \{(x_1, x_2) : (x_1, x_2, y) \in \mathcal{R} \textbf{ for some } y\}, \qquad
 #    \text{section at } y = \{(x_1, x_2) : (x_1, x_2, y) \in \mathcal{R}\}. $$
 #
-# The projection is the union of all sections. A state outside of a projection is outside of the set. The converse is
-# false. We count the states of our 2,000 trajectories that lie in a projection of the terminal set, and of those the
-# ones that are not in the set.
+# The projection is the union of all sections. A state whose projection lies outside the projection of the set is
+# outside the set. The converse is false. We count the states of our 2,000 trajectories that lie in each projection of
+# the terminal set, and how many of them are not in the set.
 
 # %% tags=["nbval-check-output"]
 shadows = {
@@ -422,18 +430,19 @@ plotting.label_axes(space, view, f"the same trajectory from step {k} to {end - 1
 plt.show()
 
 # %% [markdown]
-# **What to see.** Left: the section is a different part of the projection at every $x_3$, for small ones the upper
-# right, for large ones the lower left. The orange state has $x_1$ and $x_2$ of a state in the terminal set. Right: its
-# $x_3$ lies above those of the set; the dotted line leads straight down to $x_3 = 0$. So the section at its $x_3$ is
-# empty. The controller moves the outer levels directly, within a few steps. The middle level follows slowly, because
-# only the flow through the pipes acts on it. So a picture of $(x_1, x_2)$ shows the fast states and hides the slow one.
-# Each of the claims in this package concerns the set itself.
+# **What to see.** Left: the section depends on $x_3$. For $x_3 = -0.7$ it is the upper right part of the projection,
+# for $x_3 = 0.9$ the lower left part. The orange state lies inside the projection. Right: it lies far above the set.
+# Its $x_3$ is larger than that of any state in the set, so the section at this $x_3$ is empty. (The dotted line leads
+# straight down from the state to $x_3 = 0$.) The pumps change the outer levels directly, within a few steps. The middle
+# level follows slowly, because only the flow through the pipes changes it. So a picture of $(x_1, x_2)$ shows the fast
+# states and hides the slow one. All claims that this package proves are about the set itself, not about projections.
 
 # %% [markdown]
-# ## 5. Cells against the MILP
+# ## 5. Cells or the MILP?
 #
-# We compute a step over $\mathcal{X}$ along all $2 n$ axes with three engines. The random loops have a ReLU network
-# with two hidden layers and a saturation, and $\mathcal{X}$ is the unit cube.
+# We compute one step from $\mathcal{X}$ along the $2 n$ box directions with three engines. Besides the two tank systems
+# we use random loops. They have a ReLU network with two hidden layers and a saturation, and
+# $\mathcal{X} = \{x : |x|_\infty \le 1\}$.
 
 
 # %%
@@ -457,7 +466,7 @@ four = mr.case_study("four_tanks")
 loops = {"three tanks": loop, "four tanks": four.loop}
 loops |= {f"n = {n}, ReLU 2 x {w}": random_loop(n, w) for n, w in ((3, 16), (4, 8), (4, 16), (4, 32))}
 found = {}
-print("seconds; the cells of the three tanks are there already")
+print("times in seconds; the cells of the three tanks were computed above")
 print(f"{'':20}{'cells':>8}{'build':>9}{'step':>9}{'MILP':>9}{'exact':>9}")
 for name, each in loops.items():
     n, begin = each.system.state_size, perf_counter()
@@ -478,17 +487,19 @@ gaps = [np.abs(bounds[0] - other).max() for bounds in found.values() for other i
 print(f"the engines agree to 1e-8 in all loops: {max(gaps) < 1e-8}")
 
 # %% [markdown]
-# **What to see.** *build* is the time for the cells, once per loop; *step* is the first query with them. An iteration
-# asks the same loop many times, so milliseconds instead of a large part of a second matter. The MILP does not list the
-# cells. For the largest network it finishes a step before the cells are built, so it is the better choice for one step,
-# and the cells are the better choice for an iteration. *exact* is `mr.Exact`, the same cells in rational arithmetic;
-# here it was limited to 1000 cells.
+# **What to see.** *build* is the time to compute the cells, which is needed once per loop. *step* is the time of a
+# query with these cells. An iteration queries the same loop many times, so it matters whether a query takes
+# milliseconds or tenths of a second. The MILP does not enumerate the cells. For the largest network it finishes a step
+# before the cells are built. There the MILP is the better choice for a single step, and the cells are the better choice
+# for an iteration. *exact* is `mr.Exact`, which computes the same cells in rational arithmetic; here it was limited to
+# 1000 cells.
 #
 # ### How the number of cells grows
 #
-# $N$ planes in general position divide $\mathbb{R}^n$ into $\sum_{i=0}^{n} \binom{N}{i}$ parts. This number grows like
-# $N^n / n!$: twice as many neurons give about $2^n$ times as many cells. The boundaries in the second layer are bent,
-# and not every plane meets $\mathcal{X}$, so we count:
+# $N$ hyperplanes in general position divide $\mathbb{R}^n$ into $\sum_{i=0}^{n} \binom{N}{i}$ parts. For large $N$ this
+# number grows like $N^n / n!$, so twice as many hyperplanes give about $2^n$ times as many parts. For a network the
+# formula is only a guide: the kinks of a neuron in the second layer do not form one hyperplane, and not every
+# hyperplane meets $\mathcal{X}$. So we count the cells of random loops, and take the median of three for each size:
 
 # %%
 WIDTHS = {2: (4, 8, 16, 32, 64), 3: (4, 8, 16, 32), 4: (4, 8, 16), 5: (4, 8, 12)}
@@ -513,16 +524,18 @@ ax.legend(fontsize="small")
 plt.show()
 
 # %% [markdown]
-# **What to see.** A line for a larger $n$ tends to be steeper, as the dotted ones are, which show the number of parts
-# for $N$ planes in general position. A random network may have fewer cells than another one of the same size.
+# **What to see.** The dotted lines show the number of parts for $N$ hyperplanes in general position. The counts of the
+# networks lie below them, but they also tend to grow faster for larger $n$. Networks of the same size differ much, and
+# three are few: for $N = 8$ the median for $n = 4$ is even smaller than that for $n = 3$.
+#
 # `benchmarks/space.py` measured larger random loops, with two modes: two layers of 32 neurons give 18,929 cells for
 # $n = 3$ (0.8 s) and 133,503 for $n = 4$ (5.6 s), two layers of 16 give 111,900 for $n = 5$ (4.9 s), and two layers of
-# 12 give 41,266 for $n = 6$ (3.3 s). A cell has about $2^n$ vertices on average, so each one also takes more memory for
-# larger $n$.
+# 12 give 41,266 for $n = 6$ (3.3 s). A cell has about $2^n$ vertices on average, so the memory per cell also grows with
+# $n$.
 #
-# Without `engine=...`, `mireach` decides as follows for more than two states. It takes the cells if there are at most
-# 200,000, and the MILP if there are more, if $n > 6$, or for several exact steps. If you demand cells and there are too
-# many, the search stops with an error:
+# Without `engine=...`, `mireach` chooses the engine. For more than two states it uses the cells if there are at most
+# 200,000 of them. It uses the MILP if there are more, if $n > 6$, or if you ask for $\mathcal{R}_k$ with $k > 1$. If
+# you select the cells and there are more than their limit, the search stops with an error:
 
 # %% tags=["nbval-check-output"]
 try:
@@ -533,10 +546,11 @@ except mr.CellLimitError as error:
 # %% [markdown]
 # ### What makes the MILP fast
 #
-# Lemma 2 as printed in the paper has a binary for every channel and every mode, and one big-M by interval arithmetic.
-# This is `mr.Milp("paper")`. "whole" is also a single model. It has a separate big-M for each row, computed by LPs.
-# It omits channels that are never the largest and modes that are never active. "split", the default, halves the state
-# space until few binaries are left. Bounds of the loop that are affine in $x$ settle most boxes without any solver.
+# Lemma 2 as printed in the paper has a binary for every channel and every mode. `mr.Milp("paper")` is this model, with
+# one big-M per layer and one for the plant, from interval arithmetic. "whole" is also a single model. It has a separate
+# big-M for each row, computed by LPs, and it omits channels that never attain the maximum and modes that are never
+# active. "split", the default, is a branch and bound that halves boxes of the state space until few binaries are left.
+# Affine bounds on the loop settle most boxes without any solver.
 
 # %%
 bounds = {}
@@ -551,11 +565,13 @@ print(f"agree to 1e-6: {all(np.abs(bound - bounds['split']).max() < 1e-6 for bou
 # %% [markdown]
 # ## 6. Which template?
 #
-# In the plane every direction is within 22.5 degrees of one of eight rows. In $\mathbb{R}^3$ fourteen rows leave up to
-# 36 degrees, in $\mathbb{R}^6$ seventy-two rows up to 46 (`mr.directions`). Three templates work in any dimension:
-# `mr.box_directions(n)` with $2 n$ rows, `mr.octahedral_directions(n)` with the box and all diagonals of two
-# coordinates, $2 n^2$ rows, and `mr.directions(count, n)`, spread evenly. Or you add a row that the physics suggests.
-# We try them on the three tanks, with the disturbance of the case and a larger one:
+# Three templates work in any dimension: `mr.box_directions(n)` with $2 n$ rows, `mr.octahedral_directions(n)` with the
+# box and all diagonals of two coordinates, $2 n^2$ rows, and `mr.directions(count, n)`, whose rows are spread evenly.
+# The larger $n$ is, the more rows are needed to cover all directions. In the plane, eight evenly spread rows leave an
+# angle of at most 22.5 degrees between any direction and the nearest row. In $\mathbb{R}^3$, fourteen rows of
+# `mr.directions` leave up to 36.5 degrees, and in $\mathbb{R}^6$, seventy-two rows leave up to 49. Instead, you can add
+# a row that the physics suggests. We try all of this on the three tanks, with the disturbance of the case study and a
+# larger one:
 
 # %% tags=["nbval-check-output"]
 BOX = mr.box_directions(3)
@@ -579,18 +595,20 @@ for name, C in templates.items():
 failed = mr.safe_set(rough, BOX, max_iterations=300)
 print(f"{failed.verdict}: {failed.reason}")
 top = mr.support(rough, failed.history[-1], [[1, 0, 0]]).witness[0]  # the step that leads to the largest x1
-print("x1 is largest after", top)
+print("the step to the largest x1:", top)
 low = -mr.safe_set(rough, templates["box and -(1, 1, 2)"]).set.support([[-1, -1, -2]])[0]
-print(f"x1 + x2 + 2 x3 = {top.states[0] @ [1, 1, 2]:.1f} before it; at least {low:.1f} in F_max by box and -(1, 1, 2)")
+print(f"x1 + x2 + 2 x3 = {top.states[0] @ [1, 1, 2]:.1f} before this step")
+print(f"in the F_max of box and -(1, 1, 2), x1 + x2 + 2 x3 >= {low:.1f}")
 
 # %% [markdown]
-# **What to see.** With $|d|_\infty \le 0.5$ boxes find no safe set. *refuted* means that this sequence ended without an
-# RPI set. It does not mean that the loop has none: with one more row, the right one, it has one. The last box contains
-# states with all levels high at once, and from there $x_3$ exceeds its limit. Why does the box not shrink? Its upper
-# limit of $x_1$ comes from a state with much water in tank 1 and little in the other two. There the network still pumps
-# into tank 1. The row $-(1, 1, 2)$ bounds the amount of water in all tanks together from below, with the middle tank
-# counted twice, and excludes this state. The opposite row, $(1, 1, 2)$, does not help against this disturbance. And the
-# number of rows does not decide: five evenly spread ones suffice, fewer than a box has.
+# **What to see.** For $|d|_\infty \le 0.5$ the box finds no safe set. *refuted* means that this sequence ended without
+# an RPI set. It does not mean that the loop has none: with the row $-(1, 1, 2)$ added, the iteration finds one. The
+# last box contains states where all levels are high, and from there $x_3$ exceeds its limit. Why does the box not
+# shrink any further? Its upper limit of $x_1$ is attained from a state with much water in tank 1 and little in the
+# other two. In this state the network still pumps into tank 1. The row $-(1, 1, 2)$ bounds $x_1 + x_2 + 2 x_3$ from
+# below, i.e. the water in all tanks, with the middle tank counted twice. This excludes the state. The opposite row,
+# $(1, 1, 2)$, does not help for this disturbance. The number of rows is not decisive: five evenly spread rows suffice,
+# one fewer than the box has.
 #
 # The template also decides how large the terminal set is:
 
@@ -605,16 +623,18 @@ for name in ("box", "box and +-(1, 1, 2)", "octahedral"):
     )
 
 # %% [markdown]
-# **What to see.** The largest of these $\mathcal{F}_{\max}$ is that of the box: fewer rows remove less. But its
-# terminal set is three hundred times as large as with two rows more. No template is best for both sets, and you may
-# choose a different one for each.
+# **What to see.** The box gives the largest of these $\mathcal{F}_{\max}$, because a set with fewer facets encloses the
+# image less tightly. But its terminal set is three hundred times as large as with two more rows. None of these
+# templates is best for both sets, and you may choose a different one for each.
 
 # %% [markdown]
 # ## 7. Four tanks
 #
-# The quadruple-tank process has four states, two inputs and one mode. Each pump feeds one lower tank and the upper tank
-# on the opposite side. The limits are $|x| \le (5, 5, 1.5, 1.2)$ cm, entry by entry, $|u|_\infty \le 1$ V and
-# $|d|_\infty \le 0.05$ cm. Only the network makes the loop piecewise affine: it has 40 cells.
+# The quadruple-tank process has four states, two inputs and one mode. The states are the levels of two lower tanks
+# ($x_1$, $x_2$) and of two upper tanks ($x_3$, $x_4$), which drain into the lower ones. Each pump feeds one lower tank
+# and the upper tank on the opposite side. The limits are $|x| \le (5, 5, 1.5, 1.2)$ cm componentwise, $|u|_\infty \le
+# 1$ V and $|d|_\infty \le 0.05$ cm. The plant is linear. The loop is piecewise affine because of the network, and has
+# 40 cells.
 
 # %% tags=["nbval-check-output"]
 sets = load_sets("four_tanks")  # shipped with the package
@@ -635,8 +655,8 @@ plt.show()
 
 # %% [markdown]
 # **What to see.** A set of $\mathbb{R}^4$ has six projections onto two coordinates. They are rectangles because the
-# template is the box. The set shrinks slowly along $x_1$ and $x_2$, the lower tanks. The next figure shows how far each
-# side is from its end.
+# template is the box. The sets shrink slowly. The next figure shows how far the upper limit of each coordinate is from
+# its final value.
 
 # %%
 size = np.array([R.support(four.directions) for R in sets])
@@ -648,21 +668,23 @@ ax.legend(title="along")
 plt.show()
 
 # %% [markdown]
-# After a dozen steps all four shrink at the same rate, that of the slowest eigenvalue. (1e-4 is added so that the end
-# is visible.)
+# **What to see.** After about twenty steps, all four distances decrease at the same rate, by a factor of 0.935 per
+# step. This is close to the slowest eigenvalue, 0.928. It is slightly slower because the boxes over-approximate every
+# step. (1e-4 is added to each distance so that the last steps fit on the logarithmic scale.)
 #
 # ## 8. Bound by a solver, proven, exact
 #
 # **A certificate without cells.** The checker of notebook 10 computes exact cells for two states only. A certificate of
-# a larger system contains the bounds of an engine. The checker compares them exactly with the sets, but it cannot
-# derive them again, and it reports this. It never reports *proven*.
+# a larger system contains the bounds that an engine computed. The checker compares these bounds exactly with the sets,
+# but it cannot derive them again. It reports this as *not checked*, and never as *proven*.
 
 # %% tags=["nbval-check-output"]
 print(mr.certificate.verify(data_file("four_tanks", "certificate.json")))
 
 # %% [markdown]
-# **The verdicts of the package** say what they rest on, in `settled`: *exact arithmetic*, *rounding counted* (bounds
-# that include every rounding error), or only the word of a solver. `mr.Exact` does not round at all.
+# **The verdicts of the package.** Each result states in `settled` what its verdict rests on: *exact arithmetic*,
+# *rounding counted* (the bounds include every rounding error), or only the word of a solver. `mr.Exact` does not round
+# at all.
 
 # %% tags=["nbval-check-output"]
 for name, each, R in (("three tanks", loop, terminal.set), ("four tanks", four.loop, sets[-1])):
@@ -671,9 +693,10 @@ for name, each, R in (("three tanks", loop, terminal.set), ("four tanks", four.l
         print(f"{name:>11}, {engine:>5}: {check.verdict}; {check.settled}")
 
 # %% [markdown]
-# **The price of exact steps.** $\mathcal{R}_k$ without a template between the steps needs $k$ times the binaries (Lemma
-# 2). With one mode the time hardly grows, because the network is a single affine piece near the origin. With four modes
-# that meet there, it grows very quickly.
+# **The cost of exact steps.** $\mathcal{R}_k$ without a template between the steps needs $k$ times as many binaries
+# (Lemma 2). For the four tanks the time grows slowly, because the terminal set lies in a single cell. For the three
+# tanks it grows quickly, because all four modes meet in the terminal set, which meets 40 cells. The table has two
+# steps; `benchmarks/README.md` has five.
 
 # %%
 print("k     three tanks      four tanks")
@@ -688,28 +711,30 @@ for k in (1, 2):
 # %% [markdown]
 # ## What you saw
 #
-# - For $n > 2$ the same calls give the same guarantees. A cell is a polytope of $\mathbb{R}^n$, and a one-step set is a
-#   maximum over vertices.
-# - A projection contains all sections. To be in all projections does not mean to be in the set.
-# - The number of cells grows like a power $n$ of the number of neurons. Cells win if one loop is asked many times, the
-#   MILP if there are too many cells.
-# - *No safe set found* is a statement about the template. One row in the right direction can decide.
+# - For $n > 2$ the same calls give the same guarantees. A cell is a polytope of $\mathbb{R}^n$, and the support
+#   function of a one-step set is a maximum over vertices.
+# - A projection contains all sections. A state that lies in all projections need not lie in the set.
+# - The number of cells grows roughly like the $n$-th power of the number of neurons. Use the cells if one loop is
+#   queried many times, and the MILP if there are too many cells.
+# - *No safe set found* is a statement about the template. One row in the right direction can be enough.
 # - A certificate distinguishes bounds of a solver from proofs.
 #
 # ## On your own
 #
-# - Exercise 14: projections, the pieces of a network, a step by the vertices, and a template of your own.
+# - Exercise 14: projections, the pieces of a network, one step computed from vertices, and a template of your own.
 # - Draw the sections of the cells at $x_3 = -8$ and $x_3 = 8$. How many cells do they meet? Where is pump 1 off?
 # - What is the largest disturbance of the three tanks for which `tanks.safe_directions` finds a safe set? Use
 #   `loop.with_disturbance(...)` and bisection. Does `mr.octahedral_directions(3)` find one for a larger disturbance?
-# - Build the cells of `random_loop(6, 8)`. How many vertices does a cell have on average? Compare with $2^6$.
-# - Forge the bounds in the certificate of the four tanks, digest included. What can the checker detect, and what not?
+# - Compute the cells of `random_loop(6, 8)`. How many vertices does a cell have on average? Compare with $2^6$.
+# - Forge some bounds in the certificate of the four tanks, and adapt the digest. What can the checker detect, and what
+#   not?
 #
 # ## Further reading
 #
 # - Johansson, *The quadruple-tank process*, IEEE Transactions on Control Systems Technology 8(3), 2000.
 # - Bemporad, Morari, *Control of systems integrating logic, dynamics, and constraints*, Automatica 35, 1999.
 # - Montúfar, Pascanu, Cho, Bengio, *On the number of linear regions of deep neural networks*, NeurIPS 2014.
-# - `mireach.systems.plants` states which data of the two systems come from the literature, and which are our choice.
+# - `mireach.systems.plants` states which parameters of the two plants come from the literature, and which are our
+#   choice.
 #
 # This is the last notebook. To return to the paper's claims, run `python3 run.py reproduce`.

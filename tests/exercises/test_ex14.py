@@ -21,7 +21,7 @@ def test_forgotten_rows_and_turned_inequalities_are_caught(solved):
         ends = solved["heights"](P, y)
         return ends and ends[::-1]
 
-    expect(ex14.check_t1, without_vertical_rows, "outside of the projection", "rows without x3")
+    expect(ex14.check_t1, without_vertical_rows, "outside of the projection", "the rows without x3")
     expect(ex14.check_t1, turned, "low", "off by")
     expect(ex14.check_t1, lambda P, y: tuple(np.ravel(P.project([2]).bounding_box())), "polytope", "y = (")
     expect(ex14.check_t1, lambda P, y: None, "is in P, but you return None")
@@ -46,7 +46,7 @@ def test_counts_of_patterns_of_flat_parts_and_of_points_are_caught(solved):
 
     expect(ex14.check_t3, lambda W, b, P: 2 ** len(b), "one part per sign pattern")
     expect(ex14.check_t3, with_flat_parts, "too many", "only on a face")
-    expect(ex14.check_t3, by_points, "too few", "points that you try miss them")
+    expect(ex14.check_t3, by_points, "too few", "sampled points may miss them")
     expect(ex14.check_t3, lambda W, b, P: len(b) + 0.5, "whole number")
 
 
@@ -64,7 +64,7 @@ def test_a_missing_disturbance_and_vertices_of_the_wrong_sets_are_caught(solved)
 
     expect(ex14.check_t4, lambda pieces, F, D, V: right(pieces, F, nothing, V), "D is missing")
     expect(ex14.check_t4, lambda pieces, F, D, V: right(pieces, everything, D, V), "lies in F")
-    expect(ex14.check_t4, at_vertices_of_the_set, "is in F and leads to", "none of F")
+    expect(ex14.check_t4, at_vertices_of_the_set, "is in F and leads to", "but not of F")
     expect(ex14.check_t4, every_map_everywhere, "no state of F leads that far")
     expect(ex14.check_t4, lambda *given: right(*given)[:2], "must have shape (5,)")
 

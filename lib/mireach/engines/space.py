@@ -19,7 +19,7 @@ from ..tolerances import BOUND_GRID, CLOSE_BOUND, FLAT_IMAGE, LARGE_IMAGE, ROUND
 from ..typing import Array, BoolArray, IntArray
 from .base import LazySequence, Support, Witness, empty_support, replay
 
-MOST_PIECES = 2_000  # polytopes that a reachable set of several steps may fall into
+MOST_PIECES = 2_000  # limit of the number of polytopes whose union is the reachable set of several steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class NetworkCells:
     Attributes
     ----------
     complex : CellComplex
-        N cells. On a boundary that modes share, each of them has a cell, even if it is only a face or a point.
+        N cells. On a boundary that several modes share, each mode has a cell, even if it is only a face or a point.
     mode : array (N,) of int
     K : array (N, m, n)
     g : array (N, m)
@@ -49,7 +49,7 @@ class NetworkCells:
 
 @dataclass(frozen=True, eq=False)
 class LoopCells:
-    """The cells of a loop with its nominal dynamics x+ = M x + c on each of them.
+    """The cells of a loop, with the nominal dynamics x+ = M x + c on each of them.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class LoopCells:
     M : array (N, n, n)
     c : array (N, n)
     error : array (N, n)
-        Upper bound of the error of every component of M x + c + d, from the rounding of M, c, d and their sums.
+        Upper bound of the error of each component of M x + c + d that rounding of M, c, d and of the sums causes.
     unit : float
         Bounds are rounded up to multiples of this power of two.
     """
@@ -81,15 +81,16 @@ class LoopCells:
 
 @dataclass(frozen=True, eq=False)
 class SpaceSupport(Support):
-    """A Support and the cells that are not yet ruled out for smaller sets.
+    """A Support, and the cells that a later query with a smaller set has to search.
 
     Attributes
     ----------
     F : Polytope
-        The set whose reachable set it is.
+        The initial set.
     every : LoopCells
+        All cells of the loop.
     left : array (q,) of int
-        All cells except those that do not meet F.
+        The cells that may meet F.
     """
 
     F: Polytope
@@ -98,14 +99,14 @@ class SpaceSupport(Support):
 
 
 class Piece(NamedTuple):
-    """A Polytope of states after some steps, and the chain of (part of a cell, cell) of the steps before."""
+    """A Polytope of states after some steps, and for each of these steps the (part of a cell, cell) it started from."""
 
     set: Polytope
     chain: tuple[tuple[Polytope, int], ...]
 
 
 def dynamics(loop: ClosedLoop, limit: int) -> LoopCells:
-    """The cells of a closed loop, with x+ = M x + c on each of them: the same object for the same loop.
+    """The cells of a closed loop, with x+ = M x + c on each of them; the result is cached for each loop.
 
     Raises
     ------
@@ -140,13 +141,13 @@ def _dynamics(loop: ClosedLoop, limit: int) -> LoopCells | CellLimitError:
 
 @lru_cache(maxsize=64)
 def _cells(network: MaxoutNetwork, regions: tuple[Polytope, ...], X: Polytope, limit: int) -> NetworkCells:
-    """Cells of `network` over X and the regions: cut by the rows of x, then layer by layer, then by rows of (x, u)."""
+    """X cut by the rows of the regions in x, then by the network, layer by layer, then by the rows in (x, u)."""
     return _cut_by_inputs(_before_inputs(network, regions, X, limit), regions)
 
 
 @lru_cache(maxsize=64)
 def _before_inputs(network: MaxoutNetwork, regions: tuple[Polytope, ...], X: Polytope, limit: int) -> NetworkCells:
-    """The NetworkCells before they are cut by those rows of regions that involve u: they cover X for every mode."""
+    """The NetworkCells before the cut by the rows of the regions that involve u."""
     n, domains = X.dimension, []
     for region in regions:
         of_x = ~(region.H[:, n:] != 0).any(axis=1)
@@ -220,7 +221,7 @@ def _rows(loop: ClosedLoop, limit: int, shape: tuple[int, ...], content: bytes) 
 
 
 def _maps(every: LoopCells, cells: IntArray, V: Array, spread: Array) -> tuple[Any, ...]:
-    """The fields of `cell_kernels.Maps` of some cells, without what is known of whole cells."""
+    """The fields of `cell_kernels.Maps` of some cells, without the maxima over whole cells."""
     nothing = np.zeros((0, len(V)))
     return (every.M[cells], every.c[cells], every.error[cells], every.cells.mode[cells], spread, nothing, nothing, V)
 
@@ -228,7 +229,7 @@ def _maps(every: LoopCells, cells: IntArray, V: Array, spread: Array) -> tuple[A
 def support(
     loop: ClosedLoop, F: Polytope, V: Array, steps: int, limit: int, warm_start: Support | None = None
 ) -> Support:
-    """h of R_k(F) along V by the cells: the answer of `cells.Cells` for more than two states."""
+    """Support function of R_k(F) along V by the cells: the result of `cells.Cells` for more than two states."""
     every = dynamics(loop, limit)
     rows = _rows(loop, limit, V.shape, V.tobytes())
     chosen = every.all
@@ -260,18 +261,18 @@ def support(
 
 @dataclass(frozen=True, eq=False)
 class _Highest:
-    """Maxima over the part of a set in cells.
+    """The maxima of v x+ over the parts of a set in some cells.
 
     Attributes
     ----------
     value, top : array (k,)
         The largest v x+, and its upper bound.
     owner : array (k,) of int
-        The cell.
+        The cell with the maximum.
     left : array (q,) of int
         Cells that the set may meet.
     points : dict
-        For rows that exact arithmetic decided: the state.
+        Row -> the state that attains the maximum, where exact arithmetic decided.
     """
 
     value: Array
@@ -282,7 +283,7 @@ class _Highest:
 
 
 def _highest(every: LoopCells, rows: _Rows, F: Polytope, chosen: IntArray) -> _Highest:
-    """The maxima over the states of F in chosen cells. Exact arithmetic decides where floats leave a gap."""
+    """The maxima over the states of F in the chosen cells. Exact arithmetic decides where rounding leaves a gap."""
     cells, tops = every.cells.complex, rows.maps[6]
     found = cells.highest(rows.maps, np.column_stack([F.H, F.h]), chosen, CLOSE_BOUND)
     value, top, owner, left, doubtful = found
@@ -308,7 +309,7 @@ def _highest(every: LoopCells, rows: _Rows, F: Polytope, chosen: IntArray) -> _H
 
 
 def _is_empty(every: LoopCells, F: Polytope, best: _Highest) -> bool:
-    """Whether F is empty or meets no cell. The middle of its part in a cell may show at once that it is not."""
+    """Whether F is empty or meets no cell. Often one point of F shows at once that it is not."""
     if not np.isfinite(best.top).all():
         return True
     part, _ = every.cells.complex.take(best.owner[:1]).clip(np.column_stack([F.H, F.h]))
@@ -336,7 +337,7 @@ def _images(loop: ClosedLoop, every: LoopCells, piece: Piece) -> list[Piece]:
 
 
 def _normals(points: Array) -> Array:
-    """Rows (l, n) whose half-spaces around points (k, n) are close to their hull: its facets, and those of a box."""
+    """Facet normals (l, n) for a close outer approximation of the hull of points (k, n): its own and those of a box."""
     n, middle = points.shape[1], points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(points - middle, full_matrices=True)
     size = max(1.0, float(np.abs(points).max()))
@@ -350,7 +351,7 @@ def _normals(points: Array) -> Array:
 
 
 def _uncovered(pieces: Sequence[Piece]) -> list[Piece]:
-    """The pieces that lie in no other one that is kept."""
+    """The pieces without those that lie in another one."""
     kept: list[Piece] = []
     limits = {id(piece): piece.set.bound(box_directions(piece.set.dimension)) for piece in pieces}
     for piece in sorted(pieces, key=lambda piece: -float(limits[id(piece)].sum())):
@@ -363,7 +364,7 @@ def _uncovered(pieces: Sequence[Piece]) -> list[Piece]:
 def _witness(
     loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, piece: Piece, best: _Highest, k: int
 ) -> Witness | None:
-    """A trajectory that attains the maximum along v: through the chain of a piece, to the part of its cell in it."""
+    """A trajectory that attains the maximum along v; it passes through the chain of the piece, then the best cell."""
     cell = int(best.owner[k])
     mode = int(every.cells.mode[cell])
     if not piece.chain:
@@ -411,7 +412,7 @@ def longest(loop: ClosedLoop, F: Polytope, v: Array, stages: Sequence[Stage]) ->
 
 
 def cut_support(loop: ClosedLoop, F: Polytope, V: Array, limit: int) -> Array:
-    """h of R_1(F) & X along V: the answer of `cells.Cells.cut_support` for more than two states."""
+    """Support function of R_1(F) & X along V: the result of `cells.Cells.cut_support` for more than two states."""
     every, X = dynamics(loop, limit), loop.system.state_set
     rows = _rows(loop, limit, V.shape, V.tobytes())
     part, owner = every.cells.complex.clip(np.column_stack([F.H, F.h]))
@@ -438,10 +439,10 @@ def highest_within(
     most : array (N, k)
         Upper bounds for each part.
     sure : array (N,) of bool
-        Where they are attained up to rounding.
+        Where these bounds are attained up to rounding.
     program : callable
-        Part -> the linear program of its successors, and its columns of x+; None if it is empty. It is asked for
-        parts that may pass what the others attain.
+        Part -> the linear program of its successors, and its columns of x+; None if the part is empty. It is called
+        only for parts whose bound exceeds the maximum so far.
     V : array (k, n)
     """
     bound: Array = most[sure].max(axis=0, initial=-np.inf)

@@ -28,7 +28,7 @@ from .common import (
 TOL = 1e-7  # for numbers that differ by rounding only
 THIN = 1e-9  # inner radius up to which a part counts as empty or flat
 FAT = 1e-3  # inner radius of the parts in task 3, at least
-CLEAR = 1e-3  # task 2: how far inside of the projections and outside of the set a state has to be (cm)
+CLEAR = 1e-3  # task 2: smallest distance of the state from the boundaries of the projections and of the set (cm)
 MOST_CELLS = 10_000
 ROWS, ROUGH, STEPS = 6, 0.7, 100  # task 5: rows of a template, the disturbance bound (cm), and iterations
 
@@ -74,7 +74,7 @@ def check_t1(heights: Any) -> None:
     Raises
     ------
     Wrong
-        With a y, and a state that contradicts the answer.
+        With a y for which the answer is wrong.
     """
     rng = np.random.default_rng()
     for trial in range(20):
@@ -82,7 +82,7 @@ def check_t1(heights: Any) -> None:
         around = P.project([0, 1]).bounding_box()
         for y in rng.uniform(around[0] - 0.3, around[1] + 0.3, (15, 2)):
             _check_heights(heights(P, y), P, y, f"polytope {trial + 1}, y = {text(y)}")
-    print("ok: the section of P along a vertical line; it is empty outside of the projection")
+    print("ok: heights(P, y) is the section of P along a vertical line; it is empty if y is outside the projection")
 
 
 def check_t2(state: Any) -> None:
@@ -110,7 +110,7 @@ def check_t2(state: Any) -> None:
         f"{outside.max():.3g}, and outside it must be at least {CLEAR}",
     )
     row = R.H[int(outside.argmax())]
-    print(f"ok: every picture of two coordinates shows it inside, but the facet {text(row)} excludes it")
+    print(f"ok: the state is inside all three projections, but it violates the row {text(row)} of the set")
 
 
 def check_t3(count_pieces: Any) -> None:
@@ -135,7 +135,7 @@ def check_t3(count_pieces: Any) -> None:
         require_filled(answer, "count_pieces(W, b, P)")
         count, N = require_whole(answer, "count_pieces(W, b, P)", 0), len(b)
         case = f"{N} neurons, {kind}: you count {count}"
-        require(count != 2**N, f"{case}, one part per sign pattern; but most of the {2**N} patterns occur nowhere in P")
+        require(count != 2**N, f"{case}, one part per sign pattern; but not all of the {2**N} patterns occur in P")
         require(
             count <= len(parts),
             f"{case}, too many: some sign patterns occur nowhere in P, or only on a face, which has no interior",
@@ -143,9 +143,9 @@ def check_t3(count_pieces: Any) -> None:
         smallest = min(part.chebyshev()[1] for part in parts)
         require(
             count >= len(parts),
-            f"{case}, too few: P has parts with an inner radius of only {smallest:.2g}; points that you try miss them",
+            f"{case}, too few: P has parts with an inner radius of only {smallest:.2g}; sampled points may miss them",
         )
-    print("ok: the affine pieces of one ReLU layer, counted by the sign patterns")
+    print("ok: the affine pieces of one ReLU layer, counted by their sign patterns")
 
 
 def check_t4(step_support: Any) -> None:
@@ -159,7 +159,7 @@ def check_t4(step_support: Any) -> None:
     Raises
     ------
     Wrong
-        With a direction, by how much the answer is off, and for a state that exceeds it, this state.
+        With a direction, the error of the answer, and where the answer is too small, a state that exceeds it.
     """
     rng = np.random.default_rng()
     for _ in range(3):
@@ -180,11 +180,11 @@ def check_t4(step_support: Any) -> None:
             k = [j for j, value in enumerate(words) if abs(h - value) <= TOL]
             why = hints[k[0]][1] if k else _why(h, true, loop, F, v)
             raise Wrong(f"along v = {text(v)} your {h:.6g} is off by {abs(h - true):.3g}: {why}")
-    print("ok: one step of a loop in space, without any solver for the maximum")
+    print("ok: one step of a loop in space; no solver is needed for the maximum")
 
 
 def check_t5(C: Any) -> None:
-    """Task 5: a template of at most `ROWS` rows with which the three tanks have a safe set for |d|_inf <= `ROUGH` cm.
+    """Task 5: a template of at most `ROWS` rows with which the three tanks get a safe set for |d|_inf <= `ROUGH` cm.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def check_t5(C: Any) -> None:
     for axis, sign in ((axis, sign) for axis in range(3) for sign in (1, -1)):
         v = sign * np.eye(3)[axis]
         limit = Polytope(C, np.ones(len(C))).support(v[None])[0]
-        require(np.isfinite(limit), f"sets {{x : C x <= h}} are unbounded with this C, along {text(v)}")
+        require(np.isfinite(limit), f"the sets {{x : C x <= h}} are unbounded with this C, along {text(v)}")
     found = safe_set(tanks(), C, max_iterations=STEPS)
     require(found.set is not None, f"no safe set with this C after {found.iterations} iterations: {found.reason}")
     print(f"ok: {len(C)} rows, and a safe set after {found.iterations} iterations")
@@ -223,7 +223,7 @@ def _check_heights(answer: Any, P: Polytope, y: Array, case: str) -> None:
     if line.is_empty:
         require(
             answer is None,
-            f"{case}: no (y, x3) is in P, so y is outside of the projection; return None, and heed rows without x3",
+            f"{case}: no (y, x3) is in P, so y is outside of the projection; return None; check the rows without x3",
         )
         return
     low, high = (float(end[0]) for end in line.bounding_box())
@@ -260,4 +260,4 @@ def _why(h: float, true: float, loop: ClosedLoop, F: Polytope, v: Array) -> str:
     step = support(loop, F, v[None]).witness[0]
     assert step is not None  # the maximum is attained
     x, after = step.states[0], step.states[-1]
-    return f"x = {text(x)} is in F and leads to {text(after)}; it may be a vertex of a cell, and none of F"
+    return f"x = {text(x)} is in F and leads to {text(after)}; it may be a vertex of a cell but not of F"

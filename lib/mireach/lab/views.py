@@ -1,4 +1,4 @@
-"""How the states of R^n are drawn in the plane: all of them for n = 2, else by a projection or a section."""
+"""How sets and states of R^n are drawn in the plane: as they are for n = 2, as projections or sections for n > 2."""
 
 from abc import ABC, abstractmethod
 from functools import lru_cache
@@ -11,24 +11,24 @@ from ..sets.polytope import Polytope
 from ..typing import Array, ArrayLike
 
 DIGITS = "₀₁₂₃₄₅₆₇₈₉"
-DRAWN = 4096  # polygons that are kept: those of some looks, whose sequences have up to some hundred sets
+DRAWN = 4096  # polygons in the cache: enough for several looks, whose sequences have up to a few hundred sets
 
 
 class View(ABC):
-    """How the states of R^n are drawn in the plane.
+    """How sets and states of R^n are drawn in the plane.
 
     Parameters
     ----------
     axes : (int, int)
-        The two coordinates that are drawn, counted from 0: to the right, and upward.
+        The two coordinates that are drawn, horizontal and vertical, counted from 0.
     state : array (n,)
         The initial state of the trajectories; a section passes through it.
     unit : str
-        Of the states; empty if there is none.
+        The unit of the states; empty if there is none.
 
     See Also
     --------
-    Plane, Projection, Section : the views that there are.
+    Plane, Projection, Section : the available views.
     """
 
     def __init__(self, axes: tuple[int, int], state: ArrayLike, unit: str = "") -> None:
@@ -41,25 +41,25 @@ class View(ABC):
 
     @abstractmethod
     def polygon(self, P: Polytope) -> Polytope:
-        """The Polytope of the plane that stands for a bounded Polytope of R^n."""
+        """The Polytope of R^2 that is drawn for a bounded Polytope of R^n."""
 
     def points(self, states: Array) -> Array:
-        """The points (..., 2) that stand for states (..., n): the two coordinates that are drawn."""
+        """The points (..., 2) that are drawn for states (..., n): two of their coordinates."""
         return states[..., list(self.axes)]
 
     @property
     @abstractmethod
     def title(self) -> str:
-        """What is drawn of a set, such as "projection onto (x₁, x₂)"; empty if all of it."""
+        """What is drawn of a set, such as "projection onto (x₁, x₂)"; empty if the whole set is drawn."""
 
     @property
     @abstractmethod
     def caption(self) -> str:
-        """What a reader must know who takes the picture for the sets; empty if it shows all of them."""
+        """What the picture does not show of the sets, and how it may mislead; empty if it shows them as they are."""
 
     @property
     def names(self) -> tuple[str, str]:
-        """What the axes show, such as "x₁ (cm)"."""
+        """The labels of the axes, such as "x₁ (cm)"."""
         unit = f" ({self.unit})" if self.unit else ""
         right, up = (f"{coordinate(axis)}{unit}" for axis in self.axes)
         return right, up
@@ -118,15 +118,15 @@ class Projection(View):
 
     @property
     def choice(self) -> str:
-        """What a reader chooses."""
+        """The label of this view in the menu."""
         return self.title
 
     @property
     def caption(self) -> str:
         hidden = ", ".join(map(coordinate, self.hidden))
         return (
-            f"Projection onto {self.pair}: a point belongs to the projection of a set if the set holds a state with "
-            f"these coordinates and some {hidden}. A state drawn inside may lie outside the set, so a trajectory may "
+            f"Projection onto {self.pair}: a point belongs to the projection of a set if the set contains a state with "
+            f"these coordinates, for some {hidden}. A state drawn inside may lie outside the set, so a trajectory may "
             f"enter the projection before it enters the set. The initial state (ring) has {self.fixed}."
         )
 
@@ -142,7 +142,7 @@ class Section(View):
     """
 
     def polygon(self, P: Polytope) -> Polytope:
-        """The section of P, rounded outward; empty if P holds no state with these coordinates."""
+        """The section of P, rounded outward; empty if P contains no state with the fixed coordinates."""
         return _cut(P, self.axes, tuple(self.state.tolist()[axis] for axis in self.hidden))
 
     @property
@@ -151,15 +151,15 @@ class Section(View):
 
     @property
     def choice(self) -> str:
-        """What a reader chooses; the initial state is chosen elsewhere."""
+        """The label of this view in the menu; the initial state has controls of its own."""
         return f"section {self.pair} at the initial {', '.join(map(coordinate, self.hidden))}"
 
     @property
     def caption(self) -> str:
         return (
-            f"Section {self.fixed} through the initial state (ring): sets and regions are cut there. Trajectories "
-            f"leave the section and are drawn as projections onto {self.pair}, so later states drawn inside a set may "
-            "lie outside it."
+            f"Section at {self.fixed}, through the initial state (ring). Sets and regions are shown as sections. "
+            f"Trajectories leave the section and are drawn as projections onto {self.pair}, so later states drawn "
+            "inside a set may lie outside it."
         )
 
 
@@ -167,7 +167,7 @@ KINDS: dict[str, type[Projection] | type[Section]] = {"projection": Projection, 
 
 
 def view_choices(n: int) -> dict[str, str]:
-    """The views of R^n, n > 2, that a reader may choose: value -> label.
+    """The views of R^n, n > 2, for the menu of the lab: value -> label.
 
     See Also
     --------
@@ -183,7 +183,7 @@ def view_choices(n: int) -> dict[str, str]:
 
 
 def chosen_view(choice: str | None, state: ArrayLike, unit: str = "") -> View:
-    """The View of a value of `view_choices`; None stands for the plane.
+    """The View for a value of `view_choices`; None is the plane itself, for n = 2.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def chosen_view(choice: str | None, state: ArrayLike, unit: str = "") -> View:
     state : array (n,)
         The initial state.
     unit : str
-        Of the states.
+        The unit of the states.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def chosen_view(choice: str | None, state: ArrayLike, unit: str = "") -> View:
 
 
 def coordinate(axis: int) -> str:
-    """The name of a coordinate, counted from 0.
+    """The name of the coordinate with this number, counted from 0.
 
     Examples
     --------
@@ -233,13 +233,13 @@ def coordinate(axis: int) -> str:
 
 
 def size_name(n: int) -> str:
-    """What the size of a set of R^n is called: "area" or "volume"."""
+    """The word for the size of a set of R^n: "area" or "volume"."""
     return "area" if n == 2 else "volume"
 
 
 @lru_cache(maxsize=DRAWN)
 def size_of(P: Polytope) -> float:
-    """The area of a Polytope of the plane, or the volume of one of R^n.
+    """The area of a Polytope of R^2, or the volume of one of R^n.
 
     Examples
     --------

@@ -53,9 +53,9 @@ def directions(count: int, n: int = 2) -> Array:
     low-discrepancy sequence. Then each of them moves to the middle of the directions that are nearest to it, several
     times (Lloyd's algorithm); the box directions stay. The same arguments always give the same rows.
 
-    The largest angle between any direction and the nearest row, and in brackets the median of that for random rows,
-    in degrees: R^3: 36 for 14 rows (62), 28 for 26 (50); R^4: 45 for 24 (65), 32 for 64 (47); R^6: 46 for 72 (61). The
-    least possible angle for 14 rows in R^3 is 35. For 12 it is 37, but 55 here, since the box directions stay.
+    The largest angle between any direction and the nearest row, and in brackets the median of this angle for random
+    rows, in degrees: R^3: 36.5 for 14 rows (67), 28.6 for 26 (52); R^4: 45 for 24 (66), 34 for 64 (50); R^6: 49 for 72
+    (61). The least possible angle for 14 rows in R^3 is 35. For 12 it is 37, but 55 here, as the box directions stay.
     """
     n = whole_number(n, "n", 2)
     count = whole_number(count, "count", n + 1)

@@ -1,7 +1,7 @@
-"""The plants of the case studies; each of their numbers is written here, once.
+"""The plants of the case studies, with all their parameters.
 
 `pwa` and `double_integrator` are those of Sec. V of [Teichrib2025]. The others have more than two states: `three_tanks`
-and `four_tanks`, two benchmarks of process control, and the linear models `aircraft_pitch` and `quadrotor`.
+and `four_tanks` are benchmarks of process control, `aircraft_pitch` and `quadrotor` are linear models of aircraft.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ THREE_TANKS_PIPE = 0.2  # of each pipe, cm^2
 THREE_TANKS_HEIGHT = 62.0  # of the tanks, cm
 THREE_TANKS_UPPER_PIPE = 30.0  # height of the upper pipes, cm
 THREE_TANKS_PUMP = 100.0  # largest flow of a pump, cm^3/s
-# Ours: the levels are to stay where the upper pipes begin to carry water, and within 10 cm of it.
+# Our choice. The set-point of the outer tanks is the level at which the upper pipes begin to carry water.
 THREE_TANKS_SAMPLING = 10.0  # s
 THREE_TANKS_LEVELS = (30.0, 30.0, 20.0)  # cm
 THREE_TANKS_STATE_LIMIT = 10.0  # |x|_inf, cm
@@ -53,7 +53,7 @@ FOUR_TANKS_OUTLETS = (0.071, 0.057, 0.071, 0.057)  # cm^2
 FOUR_TANKS_LEVELS = (12.4, 12.7, 1.8, 1.4)  # cm
 FOUR_TANKS_PUMPS = (3.33, 3.35)  # cm^3/(V s)
 FOUR_TANKS_VALVES = (0.70, 0.60)  # the share of each pump's flow that goes to the lower tank
-# Ours: within these limits no tank runs dry, and none is fuller than 18 cm.
+# Our choice. Within these limits no tank runs dry, and no level exceeds 18 cm.
 FOUR_TANKS_SAMPLING = 5.0  # s
 FOUR_TANKS_STATE_LIMITS = (5.0, 5.0, 1.5, 1.2)  # |x_i|, cm
 FOUR_TANKS_INPUT_LIMIT = 1.0  # |u|, V
@@ -62,7 +62,7 @@ FOUR_TANKS_DISTURBANCE = 0.05  # |d|_inf, cm
 # Case 5, the pitch of an airliner [ControlTutorials]: d/dt (alpha, q, theta) for the elevator delta, in rad and s.
 AIRCRAFT_A = ((-0.313, 56.7, 0.0), (-0.0139, -0.426, 0.0), (0.0, 56.7, 0.0))
 AIRCRAFT_B = (0.232, 0.0203, 0.0)
-# Ours, in degrees and s.
+# Our choice, in degrees and s.
 AIRCRAFT_SAMPLING = 0.5
 AIRCRAFT_STATE_LIMITS = (25.0, 10.0, 20.0)  # |alpha|, |dtheta/dt|, |theta|
 AIRCRAFT_INPUT_LIMIT = 15.0  # |delta|
@@ -71,7 +71,7 @@ AIRCRAFT_DISTURBANCE = 0.1  # |d|_inf
 # Case 6, the quadrotor with six states of [Hu2020, Everett2021], in m and s.
 QUADROTOR_GRAVITY = 9.8  # m/s^2
 QUADROTOR_TILT = np.pi / 9  # largest |tan(pitch)| and |tan(roll)|; the thrust lies between 0 and twice the weight
-# Ours: the sampling time is twice that of the benchmark.
+# Our choice. The sampling time is twice that of the benchmark.
 QUADROTOR_SAMPLING = 0.2  # s
 QUADROTOR_STATE_LIMIT = 2.0  # |position|, m, and |velocity|, m/s, along each axis
 QUADROTOR_DISTURBANCE = 0.02  # |d|_inf, m and m/s
@@ -131,12 +131,12 @@ def double_integrator_plant() -> NonlinearSystem:
 
 
 def three_tanks_plant(disturbance_bound: float = THREE_TANKS_DISTURBANCE) -> PWASystem:
-    """Three tanks in a row, pumps above the outer two, a drain below the middle one: n = 3, m = 2, four modes.
+    """Three tanks in a row, with pumps for the outer two and a drain in the middle one: n = 3, m = 2, four modes.
 
-    Each outer tank is joined to the middle one by a pipe at the bottom, which carries q = k (h_i - h_3), and by one at
-    height h_v, which carries kappa (h_i - h_v) once its water stands above h_v. The drain carries k h_3. Torricelli's
-    law is replaced by its secants, k = S sqrt(2 g / h_max) and kappa = S sqrt(2 g / (h_max - h_v)), and the levels
-    are those of an Euler step:
+    Each outer tank i is connected to the middle one by a pipe at the bottom, with the flow k (h_i - h_3), and by one at
+    height h_v, with the flow kappa (h_i - h_v) if h_i >= h_v and else none. Their sum is q_i. The flow of the drain is
+    k h_3. The square roots of Torricelli's law are replaced by secants, k = S sqrt(2 g / h_max) and
+    kappa = S sqrt(2 g / (h_max - h_v)). Each step is an Euler step:
 
         h_i+ = h_i + T / A (Q_i - q_i),   h_3+ = h_3 + T / A (q_1 + q_2 - k h_3).
 
@@ -148,9 +148,9 @@ def three_tanks_plant(disturbance_bound: float = THREE_TANKS_DISTURBANCE) -> PWA
     Returns
     -------
     PWASystem
-        x is the deviation of the levels (h_1, h_2, h_3) from (30, 30, 20) cm, u that of the pumps from the flow that
-        keeps them there, in units of the largest flow of a pump, 100 cm^3/s. The upper pipes sit at 30 cm, so all
-        modes meet at the origin; h_3 stays below them.
+        x is the deviation of the levels (h_1, h_2, h_3) from (30, 30, 20) cm. u is the deviation of the pump flows from
+        those that keep these levels, in units of the largest flow of a pump, 100 cm^3/s. The upper pipes are at 30 cm,
+        so all modes meet at the origin, and h_3 does not exceed their height in X.
 
     Raises
     ------
@@ -159,9 +159,9 @@ def three_tanks_plant(disturbance_bound: float = THREE_TANKS_DISTURBANCE) -> PWA
 
     Notes
     -----
-    The three-tank benchmark in its mixed logical dynamical form [Bemporad1999b, Yaakoubi2023], with the parameters and
-    secants in common use for it. Here all four pipes and the drain are open and the outer tanks do not leak. The levels
-    to be kept, the sampling time, X and the disturbance are our choice.
+    The three-tank benchmark in its mixed logical dynamical form [Bemporad1999b, Yaakoubi2023], with the usual
+    parameters and secants. Here all four pipes and the drain are open, and the outer tanks do not leak. The set-point,
+    the sampling time, X and the disturbance are our choice.
 
     Examples
     --------
@@ -187,14 +187,15 @@ def three_tanks_plant(disturbance_bound: float = THREE_TANKS_DISTURBANCE) -> PWA
 
 
 def four_tanks_plant(disturbance_bound: float = FOUR_TANKS_DISTURBANCE) -> PWASystem:
-    """Two tanks below two others, each pump feeding a lower and the opposite upper one: n = 4, m = 2, one mode.
+    """The quadruple-tank process: n = 4, m = 2, one mode.
 
-    The linearisation of [Johansson2000], with the time constants T_i = A_i / a_i sqrt(2 h_i / g),
+    Two upper tanks (3 and 4) drain into two lower ones (1 and 2). Each pump feeds one lower tank and the upper tank on
+    the opposite side. The linearisation of [Johansson2000], with the time constants T_i = A_i / a_i sqrt(2 h_i / g), is
 
         dx1/dt = -x1 / T1 + A3 x3 / (A1 T3) + gamma1 k1 u1 / A1,   dx3/dt = -x3 / T3 + (1 - gamma2) k2 u2 / A3,
-        dx2/dt = -x2 / T2 + A4 x4 / (A2 T4) + gamma2 k2 u2 / A2,   dx4/dt = -x4 / T4 + (1 - gamma1) k1 u1 / A4,
+        dx2/dt = -x2 / T2 + A4 x4 / (A2 T4) + gamma2 k2 u2 / A2,   dx4/dt = -x4 / T4 + (1 - gamma1) k1 u1 / A4.
 
-    sampled exactly while u is held.
+    It is discretised exactly, with u constant between the samples.
 
     Parameters
     ----------
@@ -204,7 +205,7 @@ def four_tanks_plant(disturbance_bound: float = FOUR_TANKS_DISTURBANCE) -> PWASy
     Returns
     -------
     PWASystem
-        x is the deviation of the levels from (12.4, 12.7, 1.8, 1.4) cm, u that of the pumps from 3 V each.
+        x is the deviation of the levels from (12.4, 12.7, 1.8, 1.4) cm, and u that of the pump voltages from 3 V.
 
     Raises
     ------
@@ -234,14 +235,14 @@ def four_tanks_plant(disturbance_bound: float = FOUR_TANKS_DISTURBANCE) -> PWASy
 
 
 def aircraft_pitch_plant(disturbance_bound: float = AIRCRAFT_DISTURBANCE) -> PWASystem:
-    """The pitch of an airliner in cruise under its elevator: n = 3, m = 1, one mode.
+    """The pitch dynamics of an airliner in cruise, with the elevator as input: n = 3, m = 1, one mode.
 
-    The linearised longitudinal motion at constant speed, with angle of attack alpha, pitch angle theta and elevator
-    deflection delta, where 56.7 q = dtheta/dt is the pitch rate:
+    The linearised longitudinal motion at constant speed has the angle of attack alpha, the pitch angle theta, and the
+    elevator deflection delta. The pitch rate is dtheta/dt = 56.7 q.
 
-        dalpha/dt = -0.313 alpha + 56.7 q + 0.232 delta,   dq/dt = -0.0139 alpha - 0.426 q + 0.0203 delta,
+        dalpha/dt = -0.313 alpha + 56.7 q + 0.232 delta,   dq/dt = -0.0139 alpha - 0.426 q + 0.0203 delta.
 
-    sampled exactly while delta is held.
+    It is discretised exactly, with delta constant between the samples.
 
     Parameters
     ----------
@@ -262,8 +263,8 @@ def aircraft_pitch_plant(disturbance_bound: float = AIRCRAFT_DISTURBANCE) -> PWA
     Notes
     -----
     The coefficients are those of the example *Aircraft Pitch* of [ControlTutorials], from data of a Boeing airliner.
-    The model is linear, so that it is the same in radians and in degrees. The pitch rate as a state in place of q, the
-    sampling time, X, U and the disturbance are our choice.
+    The model is linear, so it has the same coefficients in radians and in degrees. The pitch rate as a state in place
+    of q, the sampling time, X, U and the disturbance are our choice.
 
     Examples
     --------
@@ -278,14 +279,15 @@ def aircraft_pitch_plant(disturbance_bound: float = AIRCRAFT_DISTURBANCE) -> PWA
 
 
 def quadrotor_plant(disturbance_bound: float = QUADROTOR_DISTURBANCE) -> PWASystem:
-    """A quadrotor whose attitude is controlled by itself: n = 6, m = 3, one mode.
+    """The position dynamics of a quadrotor with an ideal attitude controller: n = 6, m = 3, one mode.
 
-    The acceleration of the position p in R^3 is given by the pitch angle theta, the roll angle phi and the thrust tau
-    per mass,
+    The inputs are the pitch angle theta, the roll angle phi and the thrust per mass tau. They determine the
+    acceleration of the position p in R^3,
 
         d^2p/dt^2 = (g tan theta, -g tan phi, tau - g),
 
-    with |tan theta|, |tan phi| <= pi / 9 and 0 <= tau <= 2 g, sampled exactly while these are held.
+    with |tan theta|, |tan phi| <= pi / 9 and 0 <= tau <= 2 g. The model is discretised exactly, with the inputs
+    constant between the samples.
 
     Parameters
     ----------
@@ -295,8 +297,8 @@ def quadrotor_plant(disturbance_bound: float = QUADROTOR_DISTURBANCE) -> PWASyst
     Returns
     -------
     PWASystem
-        x = (p, dp/dt) relative to the point where it hovers, and u = (tan theta, tan phi, tau - g) in units of their
-        largest values (pi / 9, pi / 9, g).
+        x = (p, dp/dt) relative to a hovering point, and u = (tan theta, tan phi, tau - g) in units of the largest
+        values (pi / 9, pi / 9, g).
 
     Raises
     ------
@@ -305,8 +307,8 @@ def quadrotor_plant(disturbance_bound: float = QUADROTOR_DISTURBANCE) -> PWASyst
 
     Notes
     -----
-    The quadrotor of [Hu2020] and [Everett2021]; g and U are those of the program that belongs to [Everett2021], which
-    samples every 0.1 s. The sampling time of 0.2 s, X and the disturbance are our choice.
+    The quadrotor of [Hu2020] and [Everett2021]; g and U are those of the code published with [Everett2021], whose
+    sampling time is 0.1 s. The sampling time of 0.2 s, X and the disturbance are our choice.
 
     Examples
     --------
@@ -361,7 +363,7 @@ def _bound(disturbance_bound: float) -> float:
 
 
 def _sampled(A: Array, B: Array, time: float, disturbance_bound: float) -> Mode:
-    """dx/dt = A x + B u after `time` with u held: the only Mode of its system, with |d|_inf <= disturbance_bound."""
+    """The discretisation of dx/dt = A x + B u with constant u, as the only Mode of a system; |d|_inf <= the bound."""
     n, m = B.shape
     sampled = expm(time * np.block([[A, B], [np.zeros((m, n + m))]]))[:n]
     everywhere = Polytope(np.zeros((1, n + m)), np.ones(1))
