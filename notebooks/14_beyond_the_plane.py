@@ -209,7 +209,7 @@ right.add_collection(PolyCollection(flat.values(), facecolors=plt.cm.cividis((u1
 right.add_collection(PolyCollection(flat.values(), facecolors="none", edgecolors="white", linewidths=0.4))
 for ax, title in (
     (left, f"{len(shown)} of {len(cells)} cells meet $x_3 = 0$"),
-    (right, "$u_1$ in the middle of each cell"),
+    (right, "$u_1$ at the centroid of each cell"),
 ):
     plotting.label_axes(ax, X.project([0, 1]), title)
 tints = [Patch(facecolor=tint, edgecolor=GREY, label=f"mode {k}") for k, tint in enumerate(TINTS, start=1)]
@@ -489,9 +489,9 @@ print(f"the engines agree to 1e-8 in all loops: {max(gaps) < 1e-8}")
 # %% [markdown]
 # **What to see.** *build* is the time to compute the cells, which is needed once per loop. *step* is the time of a
 # query with these cells. An iteration queries the same loop many times, so it matters whether a query takes
-# milliseconds or tenths of a second. The MILP does not enumerate the cells. For the largest network it finishes a step
-# before the cells are built. There the MILP is the better choice for a single step, and the cells are the better choice
-# for an iteration. *exact* is `mr.Exact`, which computes the same cells in rational arithmetic; here it was limited to
+# milliseconds or tenths of a second. The MILP does not enumerate the cells. For the largest network it takes about
+# as long for one step as the cells take to build, so an iteration is much faster with the cells. For still larger
+# networks the MILP is the better choice. *exact* is `mr.Exact`, which computes the same cells in rational arithmetic; here it was limited to
 # 1000 cells.
 #
 # ### How the number of cells grows
@@ -516,7 +516,8 @@ for (n, widths), colour, marker in zip(WIDTHS.items(), (BLUE, ORANGE, GREEN, RED
     counts = [typical_count(n, width) for width in widths]
     parts = [sum(comb(int(N), i) for i in range(n + 1)) for N in neurons]
     ax.loglog(neurons, counts, "-", color=colour, marker=marker, label=f"$n = {n}$")
-    ax.loglog(neurons, parts, ":", color=colour, linewidth=1, label="$N$ planes" if n == 5 else None)
+    ax.loglog(neurons, parts, ":", color=colour, linewidth=1)
+ax.plot([], [], ":", color=GREY, linewidth=1, label="$N$ hyperplanes")
 ax.set(xlabel="$N$, ReLU neurons (two layers)", ylabel="cells", xticks=[8, 16, 32, 64, 128])
 ax.set_xticklabels(["8", "16", "32", "64", "128"])
 ax.minorticks_off()
@@ -529,8 +530,8 @@ plt.show()
 # three are few: for $N = 8$ the median for $n = 4$ is even smaller than that for $n = 3$.
 #
 # `benchmarks/space.py` measured larger random loops, with two modes: two layers of 32 neurons give 18,929 cells for
-# $n = 3$ (0.8 s) and 133,503 for $n = 4$ (5.6 s), two layers of 16 give 111,900 for $n = 5$ (4.9 s), and two layers of
-# 12 give 41,266 for $n = 6$ (3.3 s). A cell has about $2^n$ vertices on average, so the memory per cell also grows with
+# $n = 3$ (0.8 s) and 133,503 for $n = 4$ (6 to 8 s), two layers of 16 give 111,900 for $n = 5$ (5 to 7 s), and two
+# layers of 12 give 41,266 for $n = 6$ (3 to 4 s). A cell has about $2^n$ vertices on average, so the memory per cell also grows with
 # $n$.
 #
 # Without `engine=...`, `mireach` chooses the engine. For more than two states it uses the cells if there are at most
@@ -662,15 +663,15 @@ plt.show()
 size = np.array([R.support(four.directions) for R in sets])
 fig, ax = plt.subplots(figsize=(6.4, 3.4), layout="constrained")
 for row, (line, colour) in enumerate((("-", BLUE), ("--", RED), ("-.", GREEN), (":", BLACK))):
-    ax.semilogy(size[:-1, row] - size[-1, row] + 1e-4, linestyle=line, color=colour, label=f"$x_{row + 1}$")
-ax.set(xlabel="$k$", ylabel=r"$h$ of $\overline{\mathcal{R}}_k$ less that of the last, cm")
+    ax.semilogy(size[:-1, row] - size[-1, row], linestyle=line, color=colour, label=f"$x_{row + 1}$")
+ax.set(xlabel="$k$", ylabel="distance from the last offset (cm)")
 ax.legend(title="along")
 plt.show()
 
 # %% [markdown]
 # **What to see.** After about twenty steps, all four distances decrease at the same rate, by a factor of 0.935 per
 # step. This is close to the slowest eigenvalue, 0.928. It is slightly slower because the boxes over-approximate every
-# step. (1e-4 is added to each distance so that the last steps fit on the logarithmic scale.)
+# step. The curves bend down at the end because the last set is not quite the limit.
 #
 # ## 8. Bound by a solver, proven, exact
 #
