@@ -489,10 +489,10 @@ print(f"the engines agree to 1e-8 in all loops: {max(gaps) < 1e-8}")
 # %% [markdown]
 # **What to see.** *build* is the time to compute the cells, which is needed once per loop. *step* is the time of a
 # query with these cells. An iteration queries the same loop many times, so it matters whether a query takes
-# milliseconds or tenths of a second. The MILP does not enumerate the cells. For the largest network it takes about
-# as long for one step as the cells take to build, so an iteration is much faster with the cells. For still larger
-# networks the MILP is the better choice. *exact* is `mr.Exact`, which computes the same cells in rational arithmetic; here it was limited to
-# 1000 cells.
+# milliseconds or tenths of a second. The MILP does not enumerate the cells. For the largest network it takes about as
+# long for one step as the cells take to build, so an iteration is much faster with the cells. For still larger
+# networks the MILP is the better choice. *exact* is `mr.Exact`, which computes the same cells in rational arithmetic;
+# here it was limited to 1000 cells.
 #
 # ### How the number of cells grows
 #
@@ -531,8 +531,8 @@ plt.show()
 #
 # `benchmarks/space.py` measured larger random loops, with two modes: two layers of 32 neurons give 18,929 cells for
 # $n = 3$ (0.8 s) and 133,503 for $n = 4$ (6 to 8 s), two layers of 16 give 111,900 for $n = 5$ (5 to 7 s), and two
-# layers of 12 give 41,266 for $n = 6$ (3 to 4 s). A cell has about $2^n$ vertices on average, so the memory per cell also grows with
-# $n$.
+# layers of 12 give 41,266 for $n = 6$ (3 to 4 s). A cell has about $2^n$ vertices on average, so the memory per cell
+# also grows with $n$.
 #
 # Without `engine=...`, `mireach` chooses the engine. For more than two states it uses the cells if there are at most
 # 200,000 of them. It uses the MILP if there are more, if $n > 6$, or if you ask for $\mathcal{R}_k$ with $k > 1$. If
