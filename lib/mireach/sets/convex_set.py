@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations
 from typing import Any, NamedTuple, Self, TypeAlias
 
@@ -173,8 +173,22 @@ class ConvexSet:
 
     def _rounded(self, V: Array, rounding: Callable[[Rational], float]) -> Array:
         """The exact support function along each row of V, rounded by `nearest` or `above`."""
-        values: list[Any] = [self.exact_maximum(v).value for v in V]
+        values: list[Any] = [self._maximum(v) for v in V]
         return np.array([value if isinstance(value, float) else rounding(value) for value in values])
+
+    def _maximum(self, v: Array) -> Any:
+        """The value of `exact_maximum`. Rows that were tight for another set with the same H are tried first."""
+        if self._plane is not None or self._ends is not None or not v.any():
+            return self.exact_maximum(v).value
+        tight, key, direction = _tight_rows(self.H.tobytes(), self.dimension), v.tobytes(), binary(v)
+        best = self._at(tight[key], direction) if key in tight else None
+        if best is None:
+            rows, _ = self._proposed(v)
+            best = self._at(rows, direction)
+            if best is None:
+                return self.exact_maximum(v).value
+            tight[key] = rows
+        return best.value
 
     def offsets(self, V: ArrayLike) -> Array:
         """The smallest offset that P has along each row v of V.
@@ -580,15 +594,12 @@ class ConvexSet:
 
         Numbers from l on stand for the rows of x_j = 0.
         """
-        matrix, n = flint().fmpq_mat, self.dimension
-        H, h = self.exact
-        zero, one = flint().fmpq(0), flint().fmpq(1)
-        chosen = [H[r] if r < len(h) else [one if r - len(h) == j else zero for j in range(n)] for r in rows]
-        try:
-            inverse = matrix(n, n, [entry for row in chosen for entry in row]).inv()
-        except ZeroDivisionError:
+        n, h = self.dimension, self.exact[1]
+        inverse = _inverse(self.H.tobytes(), n, tuple(rows))
+        if inverse is None:
             return None, None
-        x = inverse * matrix(n, 1, [h[r] if r < len(h) else zero for r in rows])
+        zero = flint().fmpq(0)
+        x = inverse * flint().fmpq_mat(n, 1, [h[r] if r < len(h) else zero for r in rows])
         reached = (self._matrix * x).entries()
         return inverse, tuple(x.entries()) if all(a <= b for a, b in zip(reached, h)) else None
 
@@ -722,6 +733,26 @@ class ConvexSet:
         terms = np.abs(points).max(axis=1)[:, None] * size.sum(axis=1) + np.abs(offset)
         inside = (points @ row.T - offset <= NEAR_VERTEX * terms).all(axis=1)
         return [*pairs[regular][inside].tolist(), *pairs[~regular].tolist()]
+
+
+@lru_cache(maxsize=64)
+def _tight_rows(content: bytes, n: int) -> dict[bytes, tuple[int, ...]]:
+    """n rows that were tight at the maximum along v over a set with the rows H, by the bytes of v.
+
+    Sequences of sets differ by their offsets alone, and those rows often stay tight from one set to the next.
+    """
+    return {}
+
+
+@lru_cache(maxsize=4096)
+def _inverse(content: bytes, n: int, rows: tuple[int, ...]) -> Any:
+    """The inverse of n rows of H over the rationals, or None if they are dependent; from l on the rows of x_j = 0."""
+    H, one = np.frombuffer(content).reshape(-1, n), np.eye(n)
+    chosen = [H[r] if r < len(H) else one[r - len(H)] for r in rows]
+    try:
+        return flint().fmpq_mat(n, n, [entry for row in chosen for entry in binary(row)]).inv()
+    except ZeroDivisionError:
+        return None
 
 
 # -- parts --------------------------------------------------------------------------------------------
