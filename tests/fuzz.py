@@ -14,7 +14,7 @@ CLOSE = 1e-9  # what bounds of the float cells may lie above the exact value, fo
 RESOLVED = 1e-6  # what bounds of the MILP may lie above it
 FLOATS = {"exact": 0.0, "cells": CLOSE}  # engines that answer about every set, and these limits; None for a loose one
 ROUNDED = 1e-12  # by which the images of samples may pass a bound, for the samples themselves are rounded
-TOUCHING = {"cells": 1e-10, "milp": 1e-7, "samples": 1e-12}  # sets that come this close may count as touching
+TOUCHING = {"cells": 1e-10, "milp": 1e-7, "samples": 1e-12}  # shares of X; sets that come this close may touch
 SAMPLES = 20
 
 
@@ -144,6 +144,7 @@ def disagreements(seed, milp_sets=2, n=2, most_sets=99):
         )
     length, found, asked = np.maximum(1, np.linalg.norm(V, axis=1)), [], Counter()
     size, sets = size_of(loop), list(sets(loop, rng))
+    extent = max(1.0, np.abs(loop.system.state_set.bounding_box()).max())
     if len(sets) > most_sets:
         sets = [sets[i] for i in rng.choice(len(sets), most_sets, replace=False)]
     for_milp = set(rng.choice(len(sets), milp_sets, replace=False).tolist())
@@ -155,7 +156,7 @@ def disagreements(seed, milp_sets=2, n=2, most_sets=99):
                 answers["milp"] = (support(loop, F, V, engine="milp"), RESOLVED)
             except SolverError:
                 asked["milp without an answer"] += len(V)
-        at = {who: support(loop, widened(F, by), V, engine="exact").bound for who, by in TOUCHING.items()}
+        at = {who: support(loop, widened(F, by * extent), V, engine="exact").bound for who, by in TOUCHING.items()}
         images = np.zeros((0, len(V))) if F.is_empty else random_images(loop, F, rng, SAMPLES) @ V.T
         asked["sampled images"] += len(images)
         for engine, (answer, above) in answers.items():

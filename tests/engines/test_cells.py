@@ -475,6 +475,34 @@ def test_nothing_is_reached_when_all_trajectories_have_left_the_state_set():
         assert (Cells().support(loop, F, V, steps).bound == -np.inf).all()
 
 
+@pytest.mark.parametrize("n", [1, 3, 4])
+def test_modes_that_act_on_a_face_or_a_slice_of_the_state_set_alone(n):
+    """Their cells are flat. A bound of theirs must not be loose, since it would hide the cells that attain more."""
+    flat = 0
+    for seed in range(12):
+        rng, loop = space_loop(seed, n)
+        system, X = loop.system, loop.system.state_set
+        V = np.vstack([box_directions(n), rng.normal(size=(2, n))])
+        low, high = X.bounding_box()
+        at, axis = low[0] if seed % 2 else (2 * low[0] + high[0]) / 3, np.eye(n + system.input_size)[0]
+        region = Polytope([axis, -axis], [at, -at])
+        A, p = rng.normal(size=(n, n)), rng.normal(size=n)
+        mode = Mode(A, np.zeros((n, system.input_size)), p, region, system.modes[0].disturbance)
+        more = ClosedLoop(PWASystem([*system.modes, mode], X, system.input_set), loop.network)
+        for F in (X, X.scale(0.7, X.chebyshev()[0]), Polytope.box(low, (low + high) / 2)):
+            found, exact = Cells().support(more, F, V), Exact().support(more, F, V)
+            assert (found.bound >= exact.bound).all() and (found.bound <= exact.bound + 1e-9).all()
+            np.testing.assert_allclose(found.value, exact.value, rtol=0, atol=1e-9)
+            flat += (exact.bound > Exact().support(loop, F, V).bound + 1e-3).any()
+    assert flat > 5  # sets from which the new mode leads farther
+
+
+@pytest.mark.parametrize("limit", ["many", None, 1.5, -1, 0])
+def test_a_limit_that_is_no_number_of_cells_is_refused(limit):
+    with pytest.raises((TypeError, ValueError), match="limit"):
+        Cells(limit=limit)
+
+
 # -- successors within X ------------------------------------------------------------------------------
 
 

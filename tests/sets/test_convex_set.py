@@ -233,3 +233,15 @@ def test_a_set_with_its_caches_can_be_pickled():
         P.vertices(), P.bound(np.eye(P.dimension)), P.is_empty, P.is_bounded
         Q = pickle.loads(pickle.dumps(P))
         assert (Q.H == P.H).all() and (Q.vertices() == P.vertices()).all()
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("far", [1e19, 1e20, 1e21, 1e300])
+def test_a_row_that_excludes_all_by_far_leaves_nothing(n, far):
+    """HiGHS holds limits of 1e20 and more for infinite, so that it cannot be given such a row as it is."""
+    cube = np.vstack([np.eye(n), -np.eye(n)])
+    for row in (np.ones(n), np.zeros(n)):
+        P = Polytope(np.vstack([cube, row]), [*np.ones(2 * n), -far])
+        assert P.is_empty and P.is_bounded and (P.bound(cube) == -np.inf).all() and len(P.vertices()) == 0
+    P = Polytope(np.vstack([np.eye(n), np.ones(n)]), [*np.ones(n), -far])  # unbounded, far away
+    assert not P.is_empty and P.exact_maximum(np.ones(n)).value == int(-far)

@@ -77,6 +77,14 @@ def test_vertices_of_a_product_are_those_of_its_factors():
     )
 
 
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_sets_wider_than_the_largest_float_have_vertices_and_refuse_samples(n):
+    P = Polytope.box([-1e308] * n, [1e308] * n)
+    assert len(P.vertices()) == 2**n and np.abs(P.vertices()).min() == 1e308
+    with pytest.raises(ValueError, match="wider than the largest float"):
+        P.sample(0, 5)
+
+
 # -- intersection, scaling, samples --------------------------------------------------------------------
 
 

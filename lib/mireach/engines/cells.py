@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from ..checks import whole_number
 from ..errors import CellLimitError
 from ..sets.kernels import affine_pieces, highest, parts, sharp_pairs
 from ..sets.polygons import Polygons
@@ -275,6 +276,9 @@ class Cells(Engine):
 
     name: ClassVar[str] = "cells"
     limit: int = MOST_CELLS
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "limit", whole_number(self.limit, "limit", 1))
 
     def support(
         self,

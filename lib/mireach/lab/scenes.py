@@ -159,7 +159,8 @@ def _alpha(terminal: TerminalSet) -> str:
 
 
 def _share(size: float, whole: float, unit: str = "") -> str:
-    return f"{size:.4g} of {whole:.4g}{unit} ({size / whole:.0%} of X)"
+    share = f"{size / whole:.0%} of X" if whole else "X is flat"
+    return f"{size:.4g} of {whole:.4g}{unit} ({share})"
 
 
 def _unit(look: Look, power: int = 1, within: str = " ") -> str:

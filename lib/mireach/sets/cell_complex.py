@@ -73,18 +73,16 @@ class CellComplex:
             raise CellLimitError(f'a box in R^{n} alone has 2^{n} vertices, too many for cells; use engine="milp"')
         limits = np.array([P.bound(box_directions(n)) for P in polytopes]).reshape(-1, 2, n)
         high, low = limits[:, 0], 0.0 - limits[:, 1]
-        corner = (np.arange(2**n)[:, None] >> np.arange(n)) & 1
-        points = np.ascontiguousarray(np.where(corner, high[:, None], low[:, None]).reshape(-1, n))
-        masks = ((1 << np.arange(n)) * np.where(corner, 1, 2**n)).sum(axis=1)
+        corners = [_corners(*ends) for ends in zip(low, high)]
         rows = np.concatenate(
             [np.broadcast_to(box_directions(n), (len(polytopes), 2 * n, n)), np.hstack([high, -low])[..., None]], axis=2
         )
         boxes = CellComplex(
-            points,
-            np.tile(masks, len(polytopes))[:, None],
+            np.concatenate([points for points, _ in corners]),
+            np.concatenate([masks for _, masks in corners])[:, None],
             rows.reshape(-1, n + 1),
             np.hstack([low, high]),
-            np.tile([2**n, 2 * n], (len(polytopes), 1)),
+            np.array([[len(points), 2 * n] for points, _ in corners]),
             np.abs(limits).max(axis=(0, 1)),
         )
         ends = np.cumsum([0, *(len(P.h) for P in polytopes)])
@@ -236,3 +234,14 @@ class CellComplex:
                 )
             else:
                 return found
+
+
+def _corners(low: Array, high: Array) -> tuple[Array, IntArray]:
+    """The corners (v, n) of a box, and masks (v,) of its rows `box_directions(n)`: where it is flat both are tight."""
+    n = len(low)
+    free = np.flatnonzero(low < high)
+    upper = np.zeros((2 ** len(free), n), bool)
+    upper[:, free] = (np.arange(len(upper))[:, None] >> np.arange(len(free))) & 1
+    flat = low == high
+    bits = np.where(upper | flat, 1, 0) + np.where(~upper | flat, 2**n, 0)
+    return np.where(upper, high, low), (bits << np.arange(n)).sum(axis=1)

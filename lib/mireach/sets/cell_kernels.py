@@ -1169,7 +1169,7 @@ def highest(
     chosen : array (p,) of int
         The cells to look at.
     gap : float
-        Bounds that exceed the value at a vertex by more are listed, not used.
+        Bounds that differ from the value at a vertex by more are listed, not used.
     extent : array (n,)
     storage : tuple
         The fields of `Storage`.
@@ -1242,23 +1242,22 @@ def highest(
             if on.tops[j, k] <= top[k]:
                 continue
             if said == WHOLE:
-                top[k] = on.tops[j, k]
-                value[k] = on.heights[j, k]
-                owner[k] = j
-                continue
-            offset = _pulled_back(on, j, k, work.a)
-            best, most = _highest_vertex(cell, work.a)
-            upper = _upper(cell, best, work.a, work)
-            bound = min(_with_error(on, j, k, upper + offset), on.tops[j, k])
+                bound = on.tops[j, k]
+                attained = on.heights[j, k]
+            else:
+                offset = _pulled_back(on, j, k, work.a)
+                best, most = _highest_vertex(cell, work.a)
+                bound = min(_with_error(on, j, k, _upper(cell, best, work.a, work) + offset), on.tops[j, k])
+                attained = most + offset
             if bound <= top[k]:
                 continue
-            if upper - most > gap:
+            if abs(bound - _with_error(on, j, k, attained)) > gap:
                 doubtful = _grown(doubtful, pairs + 1)
                 doubtful[pairs, 0], doubtful[pairs, 1] = j, k
                 pairs += 1
             else:
                 top[k] = bound
-                value[k] = most + offset
+                value[k] = attained
                 owner[k] = j
     return status, value, top, owner, left[:count].copy(), doubtful[:pairs].copy()
 

@@ -794,14 +794,15 @@ def _direction(v: Array, unit: IntArray) -> Array:
 
 def _apart(points: Array) -> Array:
     """Points (k, n) without those that are one to within rounding; for n = 2 counter-clockwise, corners alone."""
-    spread = np.ptp(np.ldexp(points, -1), axis=0) * 2
-    distance = np.maximum(TOUCH * spread, 2.0**-48 * np.abs(points).max(axis=0))
-    chosen: list[Array] = []
-    for point in points:
-        if all((np.abs(point - other) > distance).any() for other in chosen):
-            chosen.append(point)
-    kept = np.array(chosen)
+    half = np.ldexp(points, -1)  # so that differences do not overflow
+    spread = np.ptp(half, axis=0)
+    distance = np.maximum(TOUCH * spread, 2.0**-48 * np.abs(half).max(axis=0))
+    chosen: list[int] = []
+    for i, point in enumerate(half):
+        if (np.abs(point - half[chosen]) > distance).any(axis=1).all():
+            chosen.append(i)
+    kept = points[chosen]
     if points.shape[1] != 2:
         return kept
-    local = np.ldexp(kept - kept[0], -np.frexp(spread)[1])
+    local = np.ldexp(half[chosen] - half[chosen[0]], -np.frexp(spread)[1])
     return kept[[int(np.flatnonzero((local == corner).all(axis=1))[0]) for corner in around(local)]]

@@ -359,6 +359,8 @@ class Polytope(ConvexSet):
         if not self.is_bounded:
             raise ValueError("the polytope is unbounded; intersect it with a box before drawing from it")
         lower, upper = self.bounding_box()
+        if (np.ldexp(upper, -1) - np.ldexp(lower, -1) >= 2.0**1023).any():
+            raise ValueError("the polytope is wider than the largest float; choose another unit")
         draws = rng.uniform(lower, upper, (20 * size + 100, self.dimension))
         inside = draws[self.contains(draws)]
         if len(inside) >= max(size, len(draws) / 10):

@@ -26,6 +26,8 @@ from .weak_duality import Row, Rows, joint_limits
 RELAXED = (1e-9, 1e-7, 1e-5, 1e-3)  # rows are widened by this where HiGHS finds no point and no proof of that
 WELL_SCALED = 2.0**-10  # HiGHS's own bound is not used where a row has coefficients of more different sizes
 
+LARGEST = 1e19  # lower limits above it, and upper limits below its negative, are this for HiGHS
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -151,7 +153,8 @@ class LinearProgram:
         first = len(self.lower)
         self._cached_rows = None
         self._cached_limits = None
-        _require_accepted(self.highs.addVars(lower.size, lower.ravel(), upper.ravel()), "variables")
+        ends = _within_reach(lower.ravel(), upper.ravel())
+        _require_accepted(self.highs.addVars(lower.size, *ends), "variables")
         self.lower = np.concatenate([self.lower, lower.ravel()])
         self.upper = np.concatenate([self.upper, upper.ravel()])
         return np.arange(first, first + lower.size, dtype=np.int32)
@@ -162,7 +165,7 @@ class LinearProgram:
         lower = np.broadcast_to(lower, columns.shape)
         upper = np.broadcast_to(upper, columns.shape)
         for column, low, high in zip(columns, lower, upper):
-            _require_accepted(self.highs.changeColBounds(int(column), float(low), float(high)), "limits")
+            _require_accepted(self.highs.changeColBounds(int(column), *map(float, _within_reach(low, high))), "limits")
         self.lower[columns] = lower
         self.upper[columns] = upper
         self._cached_limits = None
@@ -198,7 +201,8 @@ class LinearProgram:
             coefficients = coefficients[~tiny]
             lower -= slack
             upper += slack
-        _require_accepted(self.highs.addRow(lower, upper, len(indices), indices, coefficients), "a row")
+        ends = map(float, _within_reach(lower, upper))
+        _require_accepted(self.highs.addRow(*ends, len(indices), indices, coefficients), "a row")
         self._cached_rows = None
         self._entries.append(row)
         self._powers.append(power)
@@ -524,6 +528,13 @@ class LinearProgram:
         _, exponent = math.frexp(np.abs(self._costs).max(initial=0))
         self._factor = 2.0 ** -max(-1000, min(exponent, 1000))
         self.highs.changeColsCost(len(self._costed), self._costed, self._costs * self._factor)
+
+
+def _within_reach(lower: ArrayLike, upper: ArrayLike) -> tuple[Array, Array]:
+    """Limits as HiGHS can take them, which are wider: it holds numbers of 1e20 and more for infinite."""
+    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+    low = np.where(np.isfinite(lower), np.minimum(lower, LARGEST), lower)
+    return low, np.where(np.isfinite(upper), np.maximum(upper, -LARGEST), upper)
 
 
 def _require_accepted(status: highspy.HighsStatus, what: str) -> None:

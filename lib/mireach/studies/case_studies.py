@@ -199,7 +199,7 @@ class CaseStudy:
         return dict(self.definition.paper)
 
     def __repr__(self) -> str:
-        return f"CaseStudy({self.name!r}, {len(self.system.modes)} modes, {self.network!r})"
+        return f"CaseStudy({self.name!r}, {self.system!r}, {self.network!r})"
 
     def __str__(self) -> str:
         n = self.system.state_size
