@@ -27,7 +27,6 @@ from ..files import write_json
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
 from ..systems.nonlinear import NonlinearSystem
-from ..systems.pwa import PWASystem
 from ..tolerances import LARGEST_INFLATION
 from ..typing import Array
 from . import checker
@@ -146,7 +145,7 @@ def make(
     sets, bounds = _repaired(_Images(loop, C, bounding), wanted)
     content = {
         "format": checker.FORMAT,
-        "system": _system(loop.system),
+        "system": loop.system.to_dict(),
         "network": loop.network.to_dict(),
         "template": C.tolist(),
         "sets": [h.tolist() for h in sets],
@@ -253,19 +252,6 @@ def _invariant(images_of: _Images, wanted: Array, most: Array) -> tuple[Array, A
 
 
 # -- content ------------------------------------------------------------------------------------------
-
-
-def _system(system: PWASystem) -> dict[str, Any]:
-    """The system as JSON."""
-    modes = [
-        {
-            **{name: getattr(mode, name).tolist() for name in "ABp"},
-            "region": mode.region.to_dict(),
-            "disturbance": mode.disturbance.to_dict(),
-        }
-        for mode in system.modes
-    ]
-    return {"modes": modes, "state_set": system.state_set.to_dict(), "input_set": system.input_set.to_dict()}
 
 
 def _claims(
