@@ -153,8 +153,8 @@ class LinearProgram:
         first = len(self.lower)
         self._cached_rows = None
         self._cached_limits = None
-        ends = _within_reach(lower.ravel(), upper.ravel())
-        _require_accepted(self.highs.addVars(lower.size, *ends), "variables")
+        ends = np.array([_within_reach(*pair) for pair in zip(lower.ravel().tolist(), upper.ravel().tolist())])
+        _require_accepted(self.highs.addVars(lower.size, *ends.reshape(-1, 2).T.copy()), "variables")
         self.lower = np.concatenate([self.lower, lower.ravel()])
         self.upper = np.concatenate([self.upper, upper.ravel()])
         return np.arange(first, first + lower.size, dtype=np.int32)
@@ -165,7 +165,8 @@ class LinearProgram:
         lower = np.broadcast_to(lower, columns.shape)
         upper = np.broadcast_to(upper, columns.shape)
         for column, low, high in zip(columns, lower, upper):
-            _require_accepted(self.highs.changeColBounds(int(column), *map(float, _within_reach(low, high))), "limits")
+            ends = _within_reach(float(low), float(high))
+            _require_accepted(self.highs.changeColBounds(int(column), *ends), "limits")
         self.lower[columns] = lower
         self.upper[columns] = upper
         self._cached_limits = None
@@ -201,7 +202,7 @@ class LinearProgram:
             coefficients = coefficients[~tiny]
             lower -= slack
             upper += slack
-        ends = map(float, _within_reach(lower, upper))
+        ends = _within_reach(lower, upper)
         _require_accepted(self.highs.addRow(*ends, len(indices), indices, coefficients), "a row")
         self._cached_rows = None
         self._entries.append(row)
@@ -530,11 +531,9 @@ class LinearProgram:
         self.highs.changeColsCost(len(self._costed), self._costed, self._costs * self._factor)
 
 
-def _within_reach(lower: ArrayLike, upper: ArrayLike) -> tuple[Array, Array]:
+def _within_reach(lower: float, upper: float) -> tuple[float, float]:
     """Limits as HiGHS can take them, which are wider: it holds numbers of 1e20 and more for infinite."""
-    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
-    low = np.where(np.isfinite(lower), np.minimum(lower, LARGEST), lower)
-    return low, np.where(np.isfinite(upper), np.maximum(upper, -LARGEST), upper)
+    return (LARGEST if LARGEST < lower < np.inf else lower), (-LARGEST if -np.inf < upper < -LARGEST else upper)
 
 
 def _require_accepted(status: highspy.HighsStatus, what: str) -> None:
