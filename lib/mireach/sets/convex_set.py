@@ -29,7 +29,7 @@ from .kernels import EMPTY, FAT, around, dual_bounds, in_units, inclusion, membe
 
 Rational: TypeAlias = Any  # an fmpq of python-flint, which has no types
 
-MANY = 256  # rows in the plane up to which all pairs are tried, and all vertices are computed when one is needed
+MANY = 256  # rows in the plane up to which all vertices are computed when one is needed; directions remembered per H
 MOST_VERTICES = 2_000  # of the sets that are cut row by row to find vertices; they take some seconds
 
 
@@ -187,7 +187,8 @@ class ConvexSet:
             best = self._at(rows, direction)
             if best is None:
                 return self.exact_maximum(v).value
-            tight[key] = rows
+            if len(tight) < MANY:
+                tight[key] = rows
         return best.value
 
     def offsets(self, V: ArrayLike) -> Array:
