@@ -40,16 +40,18 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from dataclasses import fields as fields_of
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
-from math import gcd, lcm, prod
-from operator import mul
+from itertools import zip_longest
+from math import ceil, factorial, floor, gcd, lcm, prod
+from operator import gt, mul, sub
 from pathlib import Path
 from typing import Any
 
-FORMAT, NETWORK = "mireach-certificate/1", "mireach-network/1"
+FORMAT, WITH_CASES, NETWORK = "mireach-certificate/1", "mireach-certificate/2", "mireach-network/1"
 CLAIMS = {
     "inputs": "Phi(x) lies in U for every x in X",
     "safe_set": "F_max lies in X, every state of it has a successor, and it is RPI",
@@ -64,6 +66,16 @@ CLAIMS = {
 OF_SEQUENCE, OF_PLANT = ("sequence", "terminal_set", "criterion", "theorem_1"), ("error_set", "theorem_2")
 VERDICTS = ("proven", "bounded", "not proven")  # what a certificate says itself; bounded: by a solver, not in the plane
 
+KINDS = {  # of proof, by what is counted in it
+    "pieces": "cells",
+    "cells": "cells",
+    "parts": "cells",
+    "cases": "weak duality",
+    "states": "replay",
+    "corners": "vertices",
+    "boxes": "polynomial bounds",
+}
+
 SECONDS = 600  # after which the rest is "not checked"
 MOST_BYTES = 2_000_000  # of a file
 MOST_LEVELS = 20  # of lists and objects in one another
@@ -72,6 +84,7 @@ MOST_ENTRIES = 2_000  # of one list
 MOST_REMEMBERED = 100_000  # supports of disturbance sets
 MOST_MEMORY = 300_000_000  # bytes of whole numbers that are held at once, see `bytes_of`
 MOST_LAYERS = 100  # of a network
+GRID = 150  # bits by which the grid of a box is finer than the smallest of its ends
 MOST_DIGITS = 4_000  # of a fraction that is read or written
 MOST_POWERS = 20  # of a term of f, together
 MOST_TERMS = 10_000  # of a component of f, counted after (x + c)^k was multiplied out
@@ -84,9 +97,14 @@ FRACTION = re.compile(rf"-?[0-9]{{1,{MOST_DIGITS}}}(/[1-9][0-9]{{0,{MOST_DIGITS 
 Row = tuple[Fraction, ...]
 HalfSpace = tuple[Row, Fraction]  # (a, b), the half-space a x <= b
 Rows = Sequence[HalfSpace]
-Corner = tuple[int, int, int]  # (X, Y, W), the point (X/W, Y/W)
-Polygon = list[Corner]
-Form = tuple[int, int, int]  # (a, b, c), the function (a X + b Y + c W) / (unit W)
+Corner = tuple[int, ...]  # (W, X), W > 0, the point X / W
+Form = tuple[int, ...]  # (c, a), the function (c W + a X) / (unit W) of the point
+Polytope = dict[Corner, int]  # the corners, and for each of them a mask of the limits that are tight there
+Piece = tuple[Polytope, list[Form], int]  # where Phi is affine, its forms, and their unit
+Limit = tuple[Form, int]  # a form that is at most 0, and its unit
+Tree = Sequence[Sequence[int]]  # nodes, see `CaseCheck.holds`
+Choices = dict[tuple[int, int], int]  # {(layer, neuron): the channel that wins}
+Grid = list[tuple[int, int]]  # (low, high) of 1 and of every coordinate, in parts of a grid
 Polynomial = dict[tuple[int, ...], Fraction]  # {powers: coefficient}
 Box = list[tuple[Fraction, Fraction]]  # (low, high) of every coordinate
 Claim = dict[str, Any]
@@ -128,13 +146,28 @@ class Result:
     """The result about one claim.
 
     `verdict` is "proven", "refuted" or "not checked"; `witness`, where there is one, a dict of fractions: "state",
-    and for a step "mode", "disturbance", "after".
+    and for a step "mode", "disturbance", "after". `work` counts what was looked at, in `seconds`.
     """
 
     claim: str
     verdict: str
     reason: str
     witness: Witness | None = None
+    work: dict[str, int] = field(default_factory=dict)
+    seconds: float = field(default=0.0, compare=False)
+
+    @property
+    def kind(self) -> str:
+        """How the result was derived: one of `KINDS`, or "other claims" where it only rests on them."""
+        return next((KINDS[what] for what in self.work if what in KINDS), "other claims")
+
+    def __str__(self) -> str:
+        work = ", ".join(f"{count} {what}" for what, count in self.work.items())
+        return f"{self.claim:<13} {self.verdict:<12} {self.reason}" + (f" [{self.kind}: {work}]" if work else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return {**{one.name: getattr(self, one.name) for one in fields_of(self)}, "kind": self.kind}
 
 
 @dataclass(frozen=True)
@@ -160,13 +193,18 @@ class Report:
         return {one.claim: one for one in self.results}[claim]
 
     def __str__(self) -> str:
-        lines = [f"{one.claim:<13} {one.verdict:<12} {one.reason}" for one in self.results]
+        lines = list(map(str, self.results))
         lines.append(f"{'digest':<13} {self.digest}")
         if self.network is not None:
             lines.append(
                 f"{'network':<13} {'the one asked about' if self.network else 'ANOTHER than the one asked about'}"
             )
         return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON has it."""
+        claims = [one.to_dict() for one in self.results]
+        return {"proven": self.proven, "digest": self.digest, "network": self.network, "claims": claims}
 
 
 def verify(
@@ -394,10 +432,15 @@ class Mode:
             rows_of(disturbance, n, f"the disturbance set of {where}"),
         )
 
+    @property
+    def rows(self) -> list[Row]:
+        """The rows (p, A, B) of x+ without d."""
+        return [(p, *A, *B) for A, B, p in zip(self.A, self.B, self.p)]
+
 
 @dataclass(frozen=True)
 class Network:
-    """Hidden layers (rows, pool) and rows of the output; a row is (w_1, ..., w_q, b)."""
+    """Hidden layers (rows, pool) and rows of the output; a row is (b, w_1, ..., w_q)."""
 
     hidden: tuple[tuple[tuple[Row, ...], int], ...]
     output: tuple[Row, ...]
@@ -424,7 +467,7 @@ class Network:
         if columns is None:  # the first layer says how many inputs there are
             columns = len(weight[0]) if isinstance(weight, list) and weight and isinstance(weight[0], list) else 0
         weight = matrix(weight, where, columns)
-        return tuple((*row, b) for row, b in zip(weight, vector(bias, where, len(weight))))
+        return tuple((b, *row) for row, b in zip(weight, vector(bias, where, len(weight))))
 
     @property
     def inputs(self) -> int:
@@ -449,15 +492,21 @@ class Certificate:
     sets: tuple[Rows, ...]
     claims: dict[str, Claim]
     plant: tuple[Polynomial, ...] | None
-    bounds: tuple[str, tuple[Row, ...]] | None
+    cases: "Cases | None"
+
+    def acting(self, mode: Mode) -> list[HalfSpace]:
+        """The rows of (x, u) where a mode acts, besides x in X."""
+        none = (Fraction(0),) * self.network.inputs
+        return [*mode.region, *(((*none, *a), b) for a, b in self.input_set)]
 
     @staticmethod
     def of(content: Any) -> "Certificate":
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise Malformed(f"the file has not the format {FORMAT!r}")
+        if not isinstance(content, dict) or content.get("format") not in (FORMAT, WITH_CASES):
+            raise Malformed(f"the file has neither the format {FORMAT!r} nor {WITH_CASES!r}")
         keys = ("format", "system", "network", "template", "sets", "claims")
+        other = ("cases",) if content["format"] == WITH_CASES else ("bounds",)
         _, system, network, template, sets, claims = fields(
-            content, "the certificate", keys, ("digest", "plant", "bounds")
+            content, "the certificate", keys, ("digest", "plant", *other)
         )
         network = Network.of(network)
         n, m = network.inputs, len(network.output)
@@ -477,7 +526,7 @@ class Certificate:
             tuple(tuple(zip(C, h)) for h in sets),
             {name: read_claim(name, claim, n) for name, claim in zip(names, fields(claims, "claims", names))},
             read_plant(content["plant"], n, n + m) if "plant" in content else None,
-            read_bounds(content.get("bounds"), n, len(sets), len(C)),
+            read_cases(content["cases"], n) if "cases" in content else None,
         )
 
 
@@ -529,19 +578,45 @@ def read_plant(value: Any, n: int, size: int) -> tuple[Polynomial, ...]:
     return tuple(components)
 
 
-def read_bounds(value: Any, n: int, count: int, rows: int) -> tuple[str, tuple[Row, ...]] | None:
-    """A solver's name and its bounds, one row per set; None in the plane, where nothing rests on them."""
-    if (n != 2) != (value is not None):
-        raise Malformed("bounds of a solver belong to systems whose state has not two entries, and only to them")
-    if value is None:
-        return None
-    solver, offsets = fields(value, "bounds", ("solver", "offsets"))
-    if type(solver) is not str or not (solver.isascii() and solver.isprintable()) or len(solver) > 50:
-        raise Malformed("the name of a solver has at most 50 printable letters")
-    return solver, matrix(offsets, "bounds", rows, count)
+@dataclass(frozen=True)
+class Cases:
+    """Trees of cases, see `CaseCheck.holds`.
+
+    inputs      a tree for every row of U
+    images      {(k, j): a tree for every row of R_j}, for the image of R_k
+    attained    for every row of R_k a mode, from 0, and a state that attain it, see `Claims.criterion`; or none
+    """
+
+    inputs: tuple[Tree, ...]
+    images: dict[tuple[int, int], tuple[Tree, ...]]
+    attained: tuple[tuple[int, Row], ...]
 
 
-# -- the plane ----------------------------------------------------------------------------------------
+def read_cases(value: Any, n: int) -> Cases:
+    """Trees as lists of nodes, which are lists of whole numbers."""
+    inputs, images, attained = fields(value, "the cases", ("inputs", "images", "attained"))
+    if not isinstance(images, list) or not isinstance(attained, list):
+        raise Malformed("images and attained should be lists")
+    found = {}
+    for image in images:
+        k, j, rows = fields(image, "an image of the cases", ("from", "to", "rows"))
+        found[natural(k, "from"), natural(j, "to")] = read_trees(rows, "the rows of an image")
+    states = []
+    for one in attained:
+        mode, x = fields(one, "a state of the cases", ("mode", "state"))
+        states.append((natural(mode, "mode") - 1, vector(x, "a state of the cases", n)))
+    return Cases(read_trees(inputs, "the cases of the inputs"), found, tuple(states))
+
+
+def read_trees(value: Any, where: str) -> tuple[Tree, ...]:
+    """A list of lists of nodes."""
+    lists = isinstance(value, list) and all(isinstance(tree, list) for tree in value)
+    if not lists or not all(isinstance(node, list) for tree in value for node in tree):
+        raise Malformed(f"{where} should be a list of trees, which are lists of nodes, which are lists")
+    return tuple(tuple(tuple(natural(entry, where) for entry in node) for node in tree) for tree in value)
+
+
+# -- polytopes ----------------------------------------------------------------------------------------
 
 
 def dot(a: Iterable[Any], x: Iterable[Any]) -> Any:
@@ -551,19 +626,20 @@ def dot(a: Iterable[Any], x: Iterable[Any]) -> Any:
 
 def whole(row: Iterable[Fraction]) -> tuple[tuple[int, ...], int]:
     """A row of fractions as whole numbers, and the number by which it was multiplied for that."""
+    row = tuple(row)
     unit = lcm(*(entry.denominator for entry in row))
     return tuple(entry.numerator * (unit // entry.denominator) for entry in row), unit
 
 
 def affine(rows: Iterable[Row], x: Sequence[Fraction]) -> list[Fraction]:
-    """w x + b for each row (w, b) of fractions, reduced once per row."""
-    x, unit = whole((*x, Fraction(1)))
+    """b + w x for each row (b, w) of fractions, reduced once per row."""
+    x, unit = whole((Fraction(1), *x))
     return [Fraction(dot(row, x), own * unit) for row, own in map(whole, rows)]
 
 
-def half_plane(a: Row, b: Fraction) -> tuple[int, ...]:
-    """The line of {x : a x <= b}."""
-    return whole((*a, -b))[0]
+def half_space(a: Row, b: Fraction) -> Form:
+    """The form that is at most 0 where a x <= b."""
+    return whole((-b, *a))[0]
 
 
 def bytes_of(*lists: Iterable[Sequence[int]]) -> int:
@@ -572,102 +648,137 @@ def bytes_of(*lists: Iterable[Sequence[int]]) -> int:
 
 
 def point(corner: Corner) -> Row:
-    """A corner as a pair of fractions."""
-    return Fraction(corner[0], corner[2]), Fraction(corner[1], corner[2])
+    """A corner as fractions."""
+    return tuple(Fraction(entry, corner[0]) for entry in corner[1:])
 
 
-def at(line: Sequence[int], corner: Corner) -> int:
-    """a X + b Y + c W: at most 0 in the half-plane of the line."""
-    return line[0] * corner[0] + line[1] * corner[1] + line[2] * corner[2]
+def at(form: Form, corner: Corner) -> int:
+    """c W + a X: at most 0 in the half-space of the form."""
+    return sum(map(mul, form, corner))
 
 
 def crossing(x: Corner, y: Corner, before: int, after: int) -> Corner:
-    """The corner between x and y where a line vanishes whose values `before` at x and `after` at y differ in sign.
+    """The corner between x and y where a form vanishes that is `before` < 0 at x and `after` > 0 at y.
 
-    |after| x + |before| y, for the line has the value |after| before + |before| after = 0 there; W stays positive.
+    after x - before y, for the form has the value after before - before after = 0 there; W stays positive.
     """
-    before, after = abs(before), abs(after)
-    X, Y, W = (after * a + before * b for a, b in zip(x, y))
-    common = gcd(X, Y, W)
-    return X // common, Y // common, W // common
+    between = [after * a - before * b for a, b in zip(x, y)]
+    common = gcd(*between)
+    return tuple(entry // common for entry in between)
 
 
-def clip(corners: Polygon, line: Sequence[int]) -> Polygon:
-    """The part of a convex polygon, segment or point in the half-plane of a line; [] if there is none.
+def clip(P: Polytope, form: Form, clock: Budget, flat: bool = True) -> Polytope:
+    """The part of a polytope in the half-space of a form; {} if there is none.
 
-    Corners on the line are kept, so that a line that touches leaves an edge or a corner. A line of zeros (0, 0, c)
-    keeps all for c <= 0 and nothing for c > 0. No corner becomes superfluous: new ones lie inside edges.
+    Its corners are those of P in the half-space, and one on each edge of P that crosses the boundary. Two corners
+    share an edge if and only if no third is tight in all the limits in which both are: these limits describe the
+    smallest face that holds both. On an edge at least n - 1 of them are tight, which is a quick test. Limits that are
+    tight inside an edge are tight on all of it.
+
+    A form that is nowhere positive changes nothing and needs no bit. A bit that is set nowhere is used again: its limit
+    is tight in no corner, and so superfluous. A part that only touches the boundary is a face of P, of lower dimension;
+    without `flat` it is {} as well.
     """
-    values = [at(line, x) for x in corners]
+    values = [at(form, x) for x in P]
     if not values or max(values) <= 0:
-        return corners
-    kept = []
-    for i, (y, after) in enumerate(zip(corners, values)):
-        x, before = corners[i - 1], values[i - 1]
-        if before < 0 < after or after < 0 < before:
-            kept.append(crossing(x, y, before, after))
-        if after <= 0:
-            kept.append(y)
-    return list(dict.fromkeys(kept))  # a segment meets the line on its way there and on its way back
+        return P
+    kept: Polytope = {}
+    inside = []
+    beyond = []
+    touching = []
+    used = 0
+    for (x, mask), value in zip(P.items(), values):
+        if value > 0:
+            beyond.append((x, mask, value))
+            continue
+        kept[x] = mask
+        used |= mask
+        if value < 0:
+            inside.append((x, mask, value))
+        else:
+            touching.append(x)
+    if not (inside or flat):
+        return {}
+    bit = ~used & (used + 1)
+    for x in touching:
+        kept[x] |= bit
+    least, masks = len(form) - 2, list(P.values())
+    for x, mask, before in inside:
+        clock.hold(len(kept) * bytes_of([x]))
+        for y, other, after in beyond:
+            common = mask & other
+            if common.bit_count() >= least:
+                clock()
+                if len([each for each in masks if each & common == common]) == 2:
+                    kept[crossing(x, y, before, after)] = common | bit
+    return kept
 
 
-def clip_all(corners: Polygon, lines: Iterable[Sequence[int]], clock: Budget) -> Polygon:
-    """The part of a polygon in all half-planes."""
-    for line in lines:
+def clip_all(P: Polytope, forms: Iterable[Form], clock: Budget) -> Polytope:
+    """The part of a polytope in all half-spaces."""
+    for form in forms:
         clock()
-        if not corners:
+        if not P:
             break
-        corners = clip(corners, line)
-    return corners
+        P = clip(P, form, clock)
+    return P
 
 
-def polygon(rows: Rows, where: str, clock: Budget) -> Polygon:
-    """The corners of {x : a x <= b for every row (a, b)}, [] if it is empty; Malformed if it is not bounded.
+def polytope(rows: Rows, where: str, clock: Budget) -> Polytope:
+    """{x : a x <= b for every row (a, b)}, {} if it is empty; Malformed if it is not bounded.
 
-    For whole a and b no coordinate of a corner exceeds 2 max|a| max|b|, by Cramer's rule: the determinant below the
-    fraction is whole and not 0. A square beyond that is cut. A set that is not empty has a corner, or else holds a
-    line and ends, if at all, at lines that meet an axis within max|b|: it meets the square. So it has a corner on the
-    square's edge if and only if it is not bounded.
+    For whole a and b the smallest faces of this set hold points with no entry beyond n! max|a|^(n-1) max|b|, by
+    Cramer's rule: the determinant below the fraction is whole and not 0. A simplex around all such points is cut. A set
+    that is not empty has such a face, and so meets the simplex inside; it is not bounded if and only if it goes on to
+    the boundary of the simplex, where there is a corner then.
     """
-    lines = [half_plane(a, b) for a, b in rows]
-    half = 2 * max(max(abs(a), abs(b)) for a, b, _ in lines) * max(abs(c) for _, _, c in lines) + 1
-    corners = clip_all([(-half, -half, 1), (half, -half, 1), (half, half, 1), (-half, half, 1)], lines, clock)
-    if any(max(abs(X), abs(Y)) == half * W for X, Y, W in corners):
+    forms = [half_space(a, b) for a, b in rows]
+    n = len(forms[0]) - 1
+    clock.hold(n * n * n)
+    most = max(1, *(abs(entry) for form in forms for entry in form[1:]))
+    r = factorial(n) * most ** (n - 1) * max(abs(form[0]) for form in forms) + 1
+    ends = [(-r,) * n] + [(*(-r,) * i, (2 * n - 1) * r, *(-r,) * (n - 1 - i)) for i in range(n)]
+    every = (1 << n + 1) - 1
+    P = clip_all({(1, *x): every ^ 1 << i for i, x in enumerate(ends)}, forms, clock)
+    if any(min(x[1:]) == -r * x[0] or sum(x[1:]) == n * r * x[0] for x in P):
         raise Malformed(f"{where} is not bounded")
-    return corners
+    return P
 
 
-def middle(corners: Polygon) -> Row:
-    """A point inside a polygon."""
-    return tuple(sum(entry) / len(corners) for entry in zip(*map(point, corners)))
+def product(P: Polytope, Q: Polytope) -> Polytope:
+    """{(x, u) : x in P, u in Q}."""
+    shift = max(P.values(), default=0).bit_length()
+    return {
+        (x[0] * u[0], *(entry * u[0] for entry in x[1:]), *(entry * x[0] for entry in u[1:])): mask | other << shift
+        for x, mask in P.items()
+        for u, other in Q.items()
+    }
 
 
-def dimension(corners: Polygon) -> int:
-    """0 for a point, 1 for a segment, 2 for more, -1 for nothing."""
-    return min(len(corners), 3) - 1
+def middle(P: Polytope) -> Row:
+    """The mean of the corners, which lies inside a polytope."""
+    return tuple(sum(entry) / len(P) for entry in zip(*map(point, P)))
 
 
-def uncovered(corners: Polygon, regions: Iterable[Sequence[Sequence[int]]], clock: Budget) -> Polygon:
-    """A part of a polygon that no region (a list of lines) covers, or [].
+def uncovered(P: Polytope, regions: Iterable[Sequence[Form]], clock: Budget) -> Polytope:
+    """A part of a polytope that no region (a list of forms) covers, or {}.
 
-    What closed regions leave of a polygon is open relative to it: it is empty, or of the dimension of the polygon.
-    Parts are kept with their edges, which regions may cover; the `middle` of a part is covered by none, since every
-    line that cut it off is positive in one of its corners at least and negative in none.
+    What closed regions leave of a polytope is open relative to it: it is empty, or of the dimension of the polytope.
+    Parts are kept with their boundaries, which regions may cover; the `middle` of a part is covered by none, since
+    every form that cut it off is positive in one of its corners at least and negative in none.
     """
-    bare = [corners]
+    bare = [P]
     for region in regions:
         following = []
         clock.hold(sum(map(bytes_of, bare)))
         for part in bare:
-            clock()
-            for line in region:  # what lies beyond the first line, beyond the second but not the first, ...
-                if any(at(line, x) > 0 for x in part):
-                    following.append(clip(part, tuple(-entry for entry in line)))
-                    part = clip(part, line)
-                if dimension(part) < dimension(corners):
-                    break
-        bare = [part for part in following if dimension(part) == dimension(corners)]
-    return bare[0] if bare else []
+            for form in region:  # what lies beyond the first limit, beyond the second but not the first, ...
+                clock()
+                if any(at(form, x) > 0 for x in part):
+                    following.append(clip(part, tuple(-entry for entry in form), clock, flat=False))
+                    part = clip(part, form, clock, flat=False)
+        bare = [part for part in following if part]
+    return bare[0] if bare else {}
 
 
 # -- the loop -----------------------------------------------------------------------------------------
@@ -675,62 +786,56 @@ def uncovered(corners: Polygon, regions: Iterable[Sequence[Sequence[int]]], cloc
 
 def over_one_unit(rows: Iterable[Row]) -> tuple[list[tuple[int, ...]], int]:
     """Rows of fractions as rows of whole numbers over one unit: rows, unit."""
+    rows = list(rows)
     unit = lcm(*(entry.denominator for row in rows for entry in row))
     return [tuple(entry.numerator * (unit // entry.denominator) for entry in row) for row in rows], unit
 
 
-def combine(row: Sequence[int], forms: Iterable[Form], unit: int) -> Form:
-    """The form w_1 f_1 + ... + w_q f_q + b of whole numbers (w, b) and forms over a unit."""
-    a = 0
-    b = 0
-    c = row[-1] * unit
-    for w, form in zip(row, forms):
-        if w:
-            a += w * form[0]
-            b += w * form[1]
-            c += w * form[2]
-    return a, b, c
+def axes(n: int, unit: int = 1) -> list[Form]:
+    """The coordinates of x as forms over a unit."""
+    return [tuple(unit * (i == j) for j in range(n + 1)) for i in range(1, n + 1)]
 
 
-def winners(corners: Polygon, channels: Sequence[Form], clock: Budget) -> list[tuple[Polygon, Form]]:
-    """Parts of a polygon that cover it, each with the largest of several forms on it.
+def combine(row: Sequence[int], forms: Sequence[Form], unit: int) -> Form:
+    """The form b + w_1 f_1 + ... + w_q f_q of whole numbers (b, w) and forms over a unit."""
+    weights = row[1:]
+    constant, *linear = (sum(map(mul, weights, column)) for column in zip_longest(*forms, fillvalue=0))
+    return (row[0] * unit + constant, *linear)
 
-    Parts of lower dimension than the polygon are left out: Phi is continuous, and their neighbours hold them.
+
+def winners(P: Polytope, channels: Sequence[Form], clock: Budget) -> Iterator[tuple[Polytope, Form]]:
+    """Parts of a polytope that cover it, each with the largest of several forms on it.
+
+    Parts of lower dimension than the polytope are left out: Phi is continuous, and their neighbours hold them. Of forms
+    that are equal on the polytope the first has the part.
     """
     heights = []
     for form in channels:
         clock()
-        heights.append([at(form, x) for x in corners])
+        heights.append([at(form, x) for x in P])
     largest = [max(column) for column in zip(*heights)]
-    for form, own in zip(channels, heights):
-        if own == largest:
-            return [(corners, form)]
-    found = []
+    if largest in heights:
+        yield P, channels[heights.index(largest)]
+        return
     for j, form in enumerate(channels):
-        part = corners
-        for i, other in enumerate(channels):
-            clock()
-            if i == j or dimension(part) < dimension(corners):
-                continue
-            ahead = tuple(b - a for a, b in zip(form, other))
-            part = clip(part, ahead)
-            if i < j and all(at(ahead, x) == 0 for x in part):  # a tie on all of it: the first of the two has it
-                part = []
-        if dimension(part) == dimension(corners):
-            found.append((part, form))
-    return found
+        part = {} if heights[j] in heights[:j] else P
+        for other, height in zip(channels, heights):
+            if part and any(map(gt, height, heights[j])):
+                part = clip(part, tuple(map(sub, other, form)), clock, flat=False)
+        if part:
+            yield part, form
 
 
-def affine_pieces(network: Network, domain: Polygon, clock: Budget) -> list[tuple[Polygon, list[Form], int]]:
-    """Polygons that cover the domain, each with the forms of Phi on it and their unit: list of triples."""
-    pieces = [(domain, [(1, 0, 0), (0, 1, 0)], 1)]
+def affine_pieces(network: Network, domain: Polytope, clock: Budget) -> list[Piece]:
+    """Polytopes that cover the domain, each with the forms of Phi on it and their unit: list of triples."""
+    pieces: list[Piece] = [(domain, axes(network.inputs), 1)]
     for fractions, pool in network.hidden:
         rows, own = over_one_unit(fractions)
         following, size = [], 0
-        for corners, forms, unit in pieces:
+        for P, forms, unit in pieces:
             clock()
             channels = [combine(row, forms, unit) for row in rows]
-            parts: list[Any] = [(corners, [])]
+            parts: list[Any] = [(P, [])]
             for start in range(0, len(channels), pool):
                 neuron = channels[start : start + pool]
                 split = []
@@ -747,17 +852,215 @@ def affine_pieces(network: Network, domain: Polygon, clock: Budget) -> list[tupl
                 clock.hold(size)
         pieces = following
     rows, own = over_one_unit(network.output)
-    return [(corners, [combine(row, forms, unit) for row in rows], unit * own) for corners, forms, unit in pieces]
+    return [(P, [combine(row, forms, unit) for row in rows], unit * own) for P, forms, unit in pieces]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A polygon on which mode number `mode` acts (from 0), with the forms of A x + B Phi(x) + p and their unit."""
+    """A polytope on which mode number `mode` acts (from 0), with the forms of A x + B Phi(x) + p and their unit."""
 
-    corners: Polygon
+    part: Polytope
     mode: int
     after: list[Form]
     unit: int
+
+
+# -- cases --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is known of Phi(x) for the x of a box if some neurons are won by given channels.
+
+    The variables are z = (x, y), with an entry of y for every neuron of which the winner is open.
+
+    box         ends (low, high) of 1 and of every variable, in parts of a grid
+    limits      forms of z that are at most 0, each with its unit
+    open        {(layer, neuron): the number of its first limit}, in the order of the variables
+    z           forms of x and Phi(x) over `unit`
+    """
+
+    box: Grid
+    limits: list[Limit]
+    open: dict[tuple[int, int], int]
+    z: list[Form]
+    unit: int
+
+
+def gridded(box: Box) -> Grid:
+    """The ends of 1 and of a box, rounded outward to a grid of 2^-`GRID` times the smallest of them."""
+    least = min(1, *(max(abs(low), abs(high)) or 1 for low, high in box))
+    grid = 1 << GRID + ceil(1 / least).bit_length()
+    return [(grid, grid), *((floor(low * grid), ceil(high * grid)) for low, high in box)]
+
+
+def highest(form: Form, box: Grid) -> int:
+    """The maximum of a form over a box, times its unit and the grid; entries that the form lacks are 0."""
+    return sum(a * (high if a > 0 else low) for a, (low, high) in zip(form, box))
+
+
+def ahead(form: Form, other: Form) -> Form:
+    """form - other; entries that one of them lacks are 0."""
+    return tuple(a - b for a, b in zip_longest(form, other, fillvalue=0))
+
+
+def case_of(network: Network, box: Grid, choices: Choices, clock: Budget) -> Case:
+    """The Case of a box in which the winners are `choices`, {(layer, neuron): channel}, all counted from 0.
+
+    A neuron is max(f_1, ..., f_q). Where f_j wins by choice, f_i - f_j <= 0 for every i. Where the bounds of the
+    differences over the box show that f_j is the largest, it wins, and nothing is to be said. Else the neuron is a
+    variable y, between the largest of the lower and the largest of the upper bounds of f_1, ..., f_q, and `open_limits`
+    are known of it.
+    """
+    box, unit = list(box), 1
+    forms = axes(len(box) - 1)
+    limits: list[Limit] = []
+    still_open: dict[tuple[int, int], int] = {}
+    for layer, (fractions, pool) in enumerate(network.hidden):
+        rows, own = over_one_unit(fractions)
+        channels = [combine(row, forms, unit) for row in rows]
+        clock.hold(len(channels) * bytes_of(channels[:1]) + len(limits) * bytes_of(form for form, _ in limits[-1:]))
+        unit *= own
+        forms = []
+        for start in range(0, len(channels), pool):
+            clock()
+            neuron = channels[start : start + pool]
+            winner = choices.get((layer, start // pool))
+            if winner is not None:
+                limits += [(ahead(form, neuron[winner]), unit) for form in neuron if form is not neuron[winner]]
+            else:
+                leads = [max(highest(ahead(other, form), box) for other in neuron) for form in neuron]
+                winner = leads.index(0) if 0 in leads else None
+            if winner is not None:
+                forms.append(neuron[winner])
+                continue
+            y = (0,) * len(box) + (unit,)
+            still_open[layer, start // pool] = len(limits)
+            limits += open_limits(neuron, leads, y, unit, box[0][0])
+            low = max(-highest(ahead((), form), box) for form in neuron)
+            high = max(highest(form, box) for form in neuron)
+            box.append((low // unit, -(-high // unit)))
+            forms.append(y)
+    rows, own = over_one_unit(network.output)
+    outputs = [combine(row, forms, unit) for row in rows]
+    return Case(box, limits, still_open, [*axes(network.inputs, unit * own), *outputs], unit * own)
+
+
+def open_limits(neuron: Sequence[Form], leads: Sequence[int], y: Form, unit: int, grid: int) -> Iterator[Limit]:
+    """What is known of y = max(f_1, ..., f_q), with lead_j / (unit grid) >= f_i - f_j for every i.
+
+    f_i - y <= 0                                    for every i
+    y - f_j - lead_j <= 0                           for every j, if q > 2
+    (h - l) (y - f_2) - h (f_1 - f_2) + h l <= 0    if q = 2 and l <= f_1 - f_2 <= h: the chord of the maximum
+    """
+    for form in neuron:
+        yield ahead(form, y), unit
+    if len(neuron) == 2:
+        high, low = -(-leads[1] // unit), -leads[0] // unit
+        row = high * low, (high - low) * grid, -high * grid, low * grid
+        yield combine(row, [y, *neuron], unit), unit * grid << (high - low).bit_length()
+    else:
+        for form, lead in zip(neuron, leads):
+            yield combine((-lead, grid, -grid), [y, form], 1), unit * grid
+
+
+def bound(form: Form, unit: int, weights: Sequence[int], limits: Sequence[Limit], box: Grid) -> Fraction | None:
+    """An upper bound of a form in a case by weak duality; None if there is none.
+
+    `weights` are m, and pairs (i, w) of the number of a limit and its weight; all are at least 0. With
+    rest = m form - sum of w_i limit_i, m form <= rest in the case, where limits are at most 0, and so
+    form <= (maximum of rest over the box) / m. For m = 0, rest is at least 0 in all points of the case: if its maximum
+    is negative there are none, and -1 is as true a bound as any.
+    """
+    m, numbers, factors = weights[0], weights[1::2], weights[2::2]
+    chosen = [(form, unit), *(limits[i] for i in numbers)]
+    common = lcm(*(unit for _, unit in chosen))
+    scaled = [w * (common // unit) for w, (_, unit) in zip((m, *(-w for w in factors)), chosen)]
+    rest = highest(combine((0, *scaled), [form for form, _ in chosen], 1), box)
+    if m:
+        return Fraction(rest, m * common * box[0][0])
+    return Fraction(-1) if rest < 0 else None
+
+
+class CaseCheck:
+    """Proofs by cases about the images of one set after the other."""
+
+    def __init__(self, certificate: "Certificate", X: Polytope, disturbances: Sequence[Sequence[Row]], clock: Budget):
+        self.certificate, self._disturbances, self._clock = certificate, disturbances, clock
+        self._ends = [(min(entry), max(entry)) for entry in zip(*map(point, X))]
+        self._known: dict[Any, tuple[Case, list[Limit]]] = {}
+        self.checked = 0
+
+    def enter(self, rows: Rows) -> None:
+        """Speak of the states of X with a x <= b for these rows from now on."""
+        self._rows, self._held = rows, 0
+        self._known.clear()
+        ends = [list(pair) for pair in self._ends]
+        for a, b in rows:
+            used = [i for i, entry in enumerate(a) if entry]
+            if len(used) == 1:  # the row cuts the box
+                i, end = used[0], b / a[used[0]]
+                ends[i] = [ends[i][0], min(ends[i][1], end)] if a[i] > 0 else [max(ends[i][0], end), ends[i][1]]
+        self._box = gridded([(low, high) for low, high in ends])
+
+    def case(self, number: int | None, choices: Choices) -> tuple[Case, list[Limit]]:
+        """The Case with these choices where a mode acts (None: in all of the set), and all that is at most 0 in it.
+
+        These are the rows of the set, those of (x, u) where the mode acts, and the limits of the Case.
+        """
+        key = number, frozenset(choices.items())
+        if key not in self._known:
+            case = case_of(self.certificate.network, self._box, choices, self._clock)
+            limits = [whole((-b, *a)) for a, b in self._rows]
+            for a, b in () if number is None else self.certificate.acting(self.certificate.modes[number]):
+                row, own = whole((-b, *a))
+                limits.append((combine(row, case.z, case.unit), own * case.unit))
+            limits += case.limits
+            self._held += bytes_of((form for form, _ in limits), case.z)
+            if self._held > MOST_MEMORY // 2:
+                self._known.clear()
+                self._held = 0
+            self._known[key] = case, limits
+        return self._known[key]
+
+    def objective(self, case: Case, number: int | None, row: HalfSpace) -> tuple[Form, int]:
+        """a x+ + h(a) - b in a mode, h the support function of its D, or a u - b: a form, and its unit."""
+        a, b = row
+        if number is None:
+            total, own = whole((-b, *((Fraction(0),) * self.certificate.network.inputs), *a))
+        else:
+            constant, *linear = (dot(a, column) for column in zip(*self.certificate.modes[number].rows))
+            spread = max(dot(a, d) for d in self._disturbances[number])
+            total, own = whole((constant + spread - b, *linear))
+        return combine(total, case.z, case.unit), own * case.unit
+
+    def holds(self, nodes: Iterator[Sequence[int]], number: int | None, row: HalfSpace) -> bool:
+        """Whether the next nodes of a tree show that a row holds in a mode (None: for Phi), whatever channels win.
+
+        The nodes stand in the order in which they are visited: (layer, neuron) splits a case into those that the
+        channels of this neuron win, in their order; any other node are the weights of a `bound`.
+        """
+        hidden = self.certificate.network.hidden
+        left: list[Choices] = [{}]
+        while left:
+            self._clock()
+            choices, node = left.pop(), next(nodes, ())
+            if len(node) == 2:
+                layer, neuron = node
+                if layer >= len(hidden) or neuron >= len(hidden[layer][0]) // hidden[layer][1]:
+                    return False
+                if (layer, neuron) in choices:
+                    return False
+                left += [{**choices, (layer, neuron): j} for j in reversed(range(hidden[layer][1]))]
+                continue
+            self.checked += 1
+            case, limits = self.case(number, choices)
+            if not len(node) % 2 or any(i >= len(limits) for i in node[1::2]):
+                return False
+            found = bound(*self.objective(case, number, row), node, limits, case.box)
+            if found is None or found > 0:
+                return False
+        return True
 
 
 # -- the claims ---------------------------------------------------------------------------------------
@@ -783,7 +1086,12 @@ class Claims:
         self.sets, self.last = certificate.sets, len(certificate.sets) - 1
         self.n = len(certificate.modes[0].A)
         self.found: dict[str, Result] = {}
-        self.spread: dict[tuple[int, Row], Fraction] = {}
+        self._work: Counter[str] = Counter()
+        self._spread: dict[tuple[int, int], Fraction] = {}
+        self._along: dict[tuple[int, int], tuple[Form, int]] = {}
+        self._clipped: tuple[int | None, list[tuple[int, Polytope]]] = None, []
+        self._polytopes: dict[int, Polytope] = {}
+        self._C = [a for a, _ in self.sets[0]]
 
     def results(self) -> tuple[Result, ...]:
         """One Result per claim, in the order of `CLAIMS`.
@@ -792,6 +1100,8 @@ class Claims:
         has the one that is derived here, and says so if the file has another.
         """
         for key, claim in self.certificate.claims.items():
+            self._work.clear()
+            start = time.monotonic()
             try:
                 verdict, reason, witness = getattr(self, key)(claim)
             except Stopped as stop:
@@ -800,62 +1110,55 @@ class Claims:
                 verdict, reason, witness = unchecked("the certificate itself does not claim it")
             if claim["witness"] not in (None, parse(json.dumps(witness))):
                 reason += "; the witness in the file is another than the one derived here"
-            self.found[key] = Result(key, verdict, reason, witness)
+            seconds = time.monotonic() - start
+            self.found[key] = Result(key, verdict, reason, witness, dict(self._work), seconds)
         return tuple(self.found.values())
 
     def inputs(self, claim: Claim) -> Finding:
         """No row a u - b of U is positive in a corner of a piece, where it is largest; if U is empty, one is."""
-        if self.n != 2:
-            return self._by_solver()
-        for corners, forms, unit in self._pieces:
+        if self.certificate.cases is not None:
+            return self._by_cases(self.certificate.cases.inputs, None, 0) or proven(CLAIMS["inputs"])
+        for P, forms, unit in self._pieces:
+            self._work["pieces"] += 1
             for a, b in self.certificate.input_set:
                 self._clock()
-                excess = combine(half_plane(a, b), forms, unit)
-                for x in corners:
+                excess = combine(half_space(a, b), forms, unit)
+                for x in P:
                     if at(excess, x) > 0:
                         u = self.certificate.network(point(x))
                         by = about(dot(a, u) - b)
                         return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U by {by}", state(point(x)))
-        return proven(f"{CLAIMS['inputs']}: {len(self._pieces)} pieces")
+        return proven(CLAIMS["inputs"])
 
     def safe_set(self, claim: Claim) -> Finding:
-        """F_max is not empty, lies in X, is covered by cells, and holds their image.
+        """F_max is not empty, lies in X, is covered by modes, and holds its image.
 
         States without a successor are witnesses by themselves: those outside X, those with an input outside U, those
         that no region contains.
         """
-        if self.n != 2:
-            return self._by_solver(0, 0)
-        if not self._polygons[0]:
+        if not self._corners(0):
             return refuted("F_max is empty")
-        if found := self._beyond(0):
-            return found
-        cells, gap = self._cells_and_gap
-        if gap:
-            return refuted(f"x = {show(gap)} lies in F_max and has no successor: {self._why_none(gap)}", state(gap))
-        return self._leaves(0, 0) or proven(f"{CLAIMS['safe_set']}: {len(cells)} cells")
+        found = self._beyond(0) or self._without_successor() or self._leaves(0, 0, claim)
+        return found or proven(CLAIMS["safe_set"])
 
     def sequence(self, claim: Claim) -> Finding:
         """The image of R_k lies in R_(k+1), k = 0, 1, ...; that of an empty set does in any set.
 
         States of R_k without a successor have no image; where `safe_set` is proven there are none.
         """
-        if self.n != 2:
-            found = [self._by_solver(k, k + 1) for k in range(self.last)]
-            return next((one for one in found if one[0] == "refuted"), found[0])
         for k in range(self.last):
-            found = self._beyond(k) or self._leaves(k, k + 1)
+            found = self._beyond(k) or self._leaves(k, k + 1, claim)
             if found:
                 return found
-        return proven(f"{CLAIMS['sequence']}: {self.last} steps")
+            self._work["steps"] += 1
+        return proven(CLAIMS["sequence"])
 
     def terminal_set(self, claim: Claim) -> Finding:
         """With F_max RPI and the images contained, R_k is reached in step k; it is not empty, for F_max is not."""
         if claim["steps"] != self.last:
             return refuted(f"the sequence has {self.last} steps, not {claim['steps']}")
-        if self.n != 2:
-            return self._by_solver(self.last, self.last)
-        found = self._missing("safe_set", "sequence") or self._beyond(self.last) or self._leaves(self.last, self.last)
+        found = self._missing("safe_set", "sequence") or self._beyond(self.last)
+        found = found or self._leaves(self.last, self.last, claim)
         return found or proven(f"R_{self.last} is RPI and reached from all of F_max within {self.last} steps")
 
     def criterion(self, claim: Claim) -> Finding:
@@ -866,15 +1169,25 @@ class Claims:
         fails where b - a c < 0 for a row; 0 is allowed, c then lies on the boundary of R_k and of S. Where c is in R_k
         S is not empty, for it holds c, and is part of R_k, which lies in F_max, where the cells are.
         """
-        if self.n != 2:
-            return self._by_solver()
         if missing := self._missing("safe_set", "terminal_set"):
             return missing
         c, epsilon = claim["centre"], claim["epsilon"]
         apart = [b - dot(a, c) for a, b in self.sets[-1]]
-        S = [(a, b - room * epsilon / (1 + epsilon)) for (a, b), room in zip(self.sets[-1], apart)]
-        corners = polygon(S, "S", self._clock) if min(apart) >= 0 else []  # c lies in R_k
-        holds = bool(corners) and all(self._attains(S, a, self._support(corners, a)) for a, _ in S)
+        S = tuple((a, b - room * epsilon / (1 + epsilon)) for (a, b), room in zip(self.sets[-1], apart))
+        P = polytope(S, "S", self._clock) if min(apart) >= 0 else {}  # c lies in R_k
+        cases = self.certificate.cases
+        if P and cases is not None:
+            self._work["states"] += len(cases.attained)
+            if len(cases.attained) != len(S):
+                return unchecked("the certificate names no states in which the rows are attained")
+            holds = all(
+                self._attained(S, r, self._support(P, a), *one)
+                for r, ((a, _), one) in enumerate(zip(S, cases.attained))
+            )
+            if not holds:
+                return unchecked("the states of the certificate do not attain every row")
+        else:
+            holds = bool(P) and all(self._attains(S, r, self._support(P, a)) for r, (a, _) in enumerate(S))
         word = "holds" if holds else "fails"
         says = f"eq. (25), TerminationFmin, about {show(c)} with epsilon = {about(epsilon)} {word}"
         return proven(says) if holds == claim["holds"] else refuted(says)
@@ -891,13 +1204,13 @@ class Claims:
             size <= 0              c lies on the boundary of R_k or outside, or R_k is flat: the theorem speaks of no
                                    such c, and there is no alpha
 
-        Theorem 1 needs alpha > 1; with alpha = 1 the boundaries of R_k and R_(k-1) touch. Outside the plane the
-        offsets of R_k stand for h of R_k, which they bound.
+        Theorem 1 needs alpha > 1; with alpha = 1 the boundaries of R_k and R_(k-1) touch.
         """
-        c, R = claim["centre"], self._polygons[-1] if self.n == 2 else None
-        if R == []:
+        c, R = claim["centre"], self._corners(self.last)
+        if not R:
             return refuted("the terminal set is empty")
-        sizes = [b for _, b in self.sets[-1]] if R is None else [self._support(R, a) for a, _ in self.sets[-2]]
+        self._work["corners"] += len(R)
+        sizes = [self._support(R, a) for a, _ in self.sets[-2]]
         apart = [(b - dot(a, c), size - dot(a, c)) for (a, b), size in zip(self.sets[-2], sizes)]
         alpha = None
         if min(size for _, size in apart) <= 0:
@@ -910,8 +1223,6 @@ class Claims:
         stable = alpha is not None and alpha > 1
         if claim["alpha"] != alpha or claim["stable"] != stable:
             return refuted(f"{says}; Theorem 1 {'applies' if stable else 'does not apply'}")
-        if self.n != 2:
-            return self._by_solver()
         if not stable:
             return proven(f"{says}, so that Theorem 1 does not apply at this k")
         missing = self._missing("inputs", "safe_set", "sequence", "terminal_set")
@@ -923,7 +1234,7 @@ class Claims:
         0 is allowed, for D is closed. Where the region does not meet X x U there is nothing to show; where it does, an
         empty D has a row that is positive.
         """
-        certificate, boxes = self.certificate, 0
+        certificate = self.certificate
         n, m = self.n, len(certificate.network.output)
         plant, zero = certificate.plant, Fraction(0)
         if plant is None:
@@ -940,10 +1251,10 @@ class Claims:
                 if z is not None:
                     says = f"x = {show(z[:n])}, u = {show(z[n:])}: f - f_PWA is not in D of mode {number}"
                     return refuted(says, {"state": texts(z[:n]), "input": texts(z[n:]), "mode": number})
-                boxes += used
+                self._work["boxes"] += used
                 if used > MOST_BOXES:
                     return unchecked(f"the error of mode {number} needs more than {MOST_BOXES} boxes")
-        return proven(f"{CLAIMS['error_set']}: {len(certificate.modes)} modes, {boxes} boxes")
+        return proven(CLAIMS["error_set"])
 
     def theorem_2(self, claim: Claim) -> Finding:
         """R_k has the origin in its interior (h > 0), and everything that Theorem 2 asks of the loop is proven."""
@@ -963,43 +1274,42 @@ class Claims:
                 return unchecked(f"rests on {claim}, which is {self.found[claim].verdict}")
         return None
 
-    def _by_solver(self, k: int | None = None, j: int = 0) -> Finding:
-        """What a solver's bounds say, of R_1(R_k) in R_j if these are given; never a proof."""
-        if self.certificate.bounds is None:
-            return unchecked("the certificate holds no bounds of a solver")
-        solver, offsets = self.certificate.bounds
-        for bound, (_, b) in zip(offsets[k], self.sets[j]) if k is not None else ():
-            if bound > b:
-                return refuted(f"the bounds of {solver} do not show that R_1(R_{k}) lies in R_{j}")
-        return unchecked(f"bound by {solver}, not checked exactly")
-
     @cached_property
-    def _pieces(self) -> list[tuple[Polygon, list[Form], int]]:
-        X = polygon(self.certificate.state_set, "the state set", self._clock)
+    def _state_set(self) -> Polytope:
+        X = polytope(self.certificate.state_set, "the state set", self._clock)
         if not X:
             raise Malformed("the state set is empty")
-        return affine_pieces(self.certificate.network, X, self._clock)
+        return X
 
     @cached_property
-    def _polygons(self) -> list[Polygon]:
-        """The corners of every set, [] where it is empty."""
-        found, size = [], 0
-        for k, rows in enumerate(self.sets):
-            found.append(polygon(rows, name(k), self._clock))
-            size += bytes_of(found[-1])
-            self._clock.hold(size)
-        return found
+    def _pieces(self) -> list[Piece]:
+        return affine_pieces(self.certificate.network, self._state_set, self._clock)
+
+    def _corners(self, k: int) -> Polytope:
+        """R_k by its corners; {} if it is empty."""
+        if k not in self._polytopes:
+            self._polytopes[k] = polytope(self.sets[k], name(k), self._clock)
+            self._clock.hold(sum(map(bytes_of, self._polytopes.values())))
+        return self._polytopes[k]
 
     @cached_property
     def _disturbances(self) -> list[list[Row]]:
         """The corners of D of every mode, as points; a D without points would make every claim true."""
         found = []
         for number, mode in enumerate(self.certificate.modes, start=1):
-            corners = polygon(mode.disturbance, f"the disturbance set of mode {number}", self._clock)
-            if not corners:
+            D = polytope(mode.disturbance, f"the disturbance set of mode {number}", self._clock)
+            if not D:
                 raise Malformed(f"the disturbance set of mode {number} is empty")
-            found.append([point(d) for d in corners])
+            found.append([point(d) for d in D])
         return found
+
+    def _spread_of(self, number: int, r: int) -> Fraction:
+        """max a d over D of a mode, for row r of the template."""
+        if len(self._spread) > MOST_REMEMBERED:
+            self._spread.clear()
+        if (number, r) not in self._spread:
+            self._spread[number, r] = max(dot(self._C[r], d) for d in self._disturbances[number])
+        return self._spread[number, r]
 
     @cached_property
     def _cells_and_gap(self) -> tuple[list[Cell], Row | None]:
@@ -1008,30 +1318,44 @@ class Claims:
         A cell is the part of a piece that lies in a region, with an input in U, be it an edge or a point. `winners`
         leaves out pieces of lower dimension than X: their neighbours hold their points, with the same Phi(x).
         """
-        F = [half_plane(a, b) for a, b in self.sets[0]]
+        F = [half_space(a, b) for a, b in self.sets[0]]
         cells: list[Cell] = []
         gap, size = None, 0
         modes = self.certificate.modes
-        maps = [over_one_unit([(*A, *B, p) for A, B, p in zip(mode.A, mode.B, mode.p)]) for mode in modes]
-        none = (Fraction(0),) * self.n
-        U = [half_plane((*none, *a), b) for a, b in self.certificate.input_set]
-        regions = [[half_plane(a, b) for a, b in mode.region] + U for mode in modes]
+        maps = [over_one_unit(mode.rows) for mode in modes]
+        regions = [[half_space(a, b) for a, b in self.certificate.acting(mode)] for mode in modes]
         for piece, forms, unit in self._pieces:
             self._clock()
-            corners = clip_all(piece, F, self._clock)
-            if not corners:
+            P = clip_all(piece, F, self._clock)
+            if not P:
                 continue
-            z = [(unit, 0, 0), (0, unit, 0), *forms]  # the forms of (x, u)
-            lines = [[combine(row, z, unit) for row in region] for region in regions]
+            z = [*axes(self.n, unit), *forms]  # (x, u)
+            limits = [[combine(row, z, unit) for row in region] for region in regions]
             for number, (rows, own) in enumerate(maps):
-                part = clip_all(corners, lines[number], self._clock)
+                part = clip_all(P, limits[number], self._clock)
                 if part:
                     cells.append(Cell(part, number, [combine(row, z, unit) for row in rows], unit * own))
                     size += bytes_of(part, cells[-1].after)
                     self._clock.hold(size)
-            bare = uncovered(corners, lines, self._clock)
+            bare = uncovered(P, limits, self._clock)
             gap = gap or (middle(bare) if bare else None)
         return cells, gap
+
+    def _without_successor(self) -> Finding | None:
+        """None if a mode acts on every state of F_max.
+
+        With cases, Phi is in U, and then regions that cover F_max x U are enough.
+        """
+        if self.certificate.cases is None:
+            cells, gap = self._cells_and_gap
+            self._work["cells"] += len(cells)
+            if gap:
+                return refuted(f"x = {show(gap)} lies in F_max and has no successor: {self._why_none(gap)}", state(gap))
+            return None
+        U = polytope(self.certificate.input_set, "the input set", self._clock)
+        regions = [[half_space(a, b) for a, b in mode.region] for mode in self.certificate.modes]
+        bare = uncovered(product(self._corners(0), U), regions, self._clock)
+        return unchecked(f"no region contains (x, u) = {show(middle(bare))}") if bare else self._missing("inputs")
 
     def _why_none(self, x: Row) -> str:
         """Why a state of X has no successor."""
@@ -1041,60 +1365,156 @@ class Claims:
         return f"its input u = {show(u)} lies outside U"
 
     def _beyond(self, k: int) -> Finding | None:
-        """None if R_k lies in F_max and in X, where the cells are; an empty R_k does."""
+        """None if R_k lies in F_max and in X, where the cells are; an empty R_k does.
+
+        Most often R_k has the same rows with smaller offsets, and no corner is needed.
+        """
+        own = dict(self.sets[k])
         for place, rows in (("F_max", self.sets[0]), ("X", self.certificate.state_set)):
             for a, b in rows:
                 self._clock()
-                line = half_plane(a, b)
-                for x in self._polygons[k]:
-                    if at(line, x) > 0:
+                if a in own and own[a] <= b:
+                    continue
+                form = half_space(a, b)
+                for x in self._corners(k):
+                    if at(form, x) > 0:
                         return refuted(f"x = {show(point(x))} lies in {name(k)}, but not in {place}", state(point(x)))
         return None
 
-    def _support(self, corners: Polygon, a: Row) -> Fraction:
-        """max a x over a polygon."""
+    def _support(self, P: Polytope, a: Row) -> Fraction:
+        """max a x over a polytope."""
         self._clock()
-        return max(dot(a, x) for x in map(point, corners))
+        return max(dot(a, x) for x in map(point, P))
 
-    def _excess(self, a: Row, b: Fraction, cell: Cell) -> Form:
-        """The line that is positive where a (A x + B Phi(x) + p + d) > b for some d in D of the cell's mode.
+    # -- by cells --
 
-        With h the support function of D and s > 0 the number that makes s a whole, it is unit q s (a x+ + h(a) - b),
-        x+ without d, for s (h(a) - b) = p / q.
+    def _excess(self, r: int, b: Fraction, number: int) -> Form:
+        """The form that is positive where a (A x + B Phi(x) + p + d) > b in a cell, for some d in D of its mode.
+
+        With h the support function of D, a row r of the template, and s > 0 the number that makes s a whole, it is
+        unit q s (a x+ + h(a) - b), x+ without d, for s (h(a) - b) = p / q.
         """
-        key = cell.mode, a
-        if len(self.spread) > MOST_REMEMBERED:
-            self.spread.clear()
-        if key not in self.spread:
-            self.spread[key] = max(dot(a, d) for d in self._disturbances[cell.mode])
-        row, scale = whole(a)
-        rest = (self.spread[key] - b) * scale
-        x, y, w = (rest.denominator * dot(row, entries) for entries in zip(*cell.after))
-        return x, y, w + rest.numerator * cell.unit
+        cell = self._cells_and_gap[0][number]
+        if len(self._along) > MOST_REMEMBERED:
+            self._along.clear()
+        if (number, r) not in self._along:
+            row, scale = whole(self._C[r])
+            self._along[number, r] = combine((0, *row), cell.after, 1), scale
+        form, scale = self._along[number, r]
+        rest = (self._spread_of(cell.mode, r) - b) * scale
+        constant, *linear = (rest.denominator * entry for entry in form)
+        return (constant + rest.numerator * cell.unit, *linear)
 
-    def _leaves(self, k: int, j: int) -> Finding | None:
+    def _parts(self, k: int) -> list[tuple[int, Polytope]]:
+        """The cells that meet R_k, by their numbers, and the part of each in R_k.
+
+        If R_k has the rows of the set before with offsets that are not larger, its parts are parts of those.
+        """
+        before, parts = self._clipped
+        rows = self.sets[k]
+        if before == k:
+            return parts
+        if before is None or any(b > old for (_, b), (_, old) in zip(rows, self.sets[before])):
+            parts = [(number, cell.part) for number, cell in enumerate(self._cells_and_gap[0])]
+        else:
+            rows = [row for row, old in zip(rows, self.sets[before]) if row != old]
+        forms = [half_space(a, b) for a, b in rows]
+        clipped = ((number, clip_all(P, forms, self._clock)) for number, P in parts)
+        found = []
+        size = 0
+        for number, P in clipped:
+            if P:
+                found.append((number, P))
+                size += bytes_of(P)
+                self._clock.hold(size)
+        self._clipped = k, found
+        return found
+
+    def _leaves(self, k: int, j: int, claim: Claim) -> Finding | None:
         """None if the image of R_k lies in R_j, for R_k in F_max; else a step out. Nothing lies in an empty R_j."""
-        lines = [half_plane(a, b) for a, b in self.sets[k]]
-        for cell in self._cells_and_gap[0]:
-            corners = clip_all(cell.corners, lines, self._clock)
-            for a, b in self.sets[j] if corners else ():
+        cases = self.certificate.cases
+        if cases is not None:
+            found = self._by_cases(cases.images.get((k, j), ()), k, j)
+            return found and (self._claimed_step(k, j, claim) or found)
+        for number, P in self._parts(k):
+            self._work["parts"] += 1
+            for r, (a, b) in enumerate(self.sets[j]):
                 self._clock()
-                excess = self._excess(a, b, cell)
-                if any(at(excess, x) > 0 for x in corners):
-                    worst = max(corners, key=lambda x: Fraction(at(excess, x), x[2]))
-                    return self._step_out(k, j, (a, b), cell.mode, point(worst))
+                excess = self._excess(r, b, number)
+                if any(at(excess, x) > 0 for x in P):
+                    worst = max(P, key=lambda x: Fraction(at(excess, x), x[0]))
+                    return self._step_out(k, j, (a, b), self._cells_and_gap[0][number].mode, point(worst))
         return None
 
-    def _attains(self, S: Rows, a: Row, level: Fraction) -> bool:
-        """Whether a x+ >= level for some x in {x : S} and some d; S lies in F_max."""
-        lines = [half_plane(*row) for row in S]
-        for cell in self._cells_and_gap[0]:
+    def _attains(self, S: Rows, r: int, level: Fraction) -> bool:
+        """Whether a x+ >= level for row r of the template, some x in {x : S} and some d; S lies in R_k."""
+        forms = [half_space(*row) for row in S]
+        for number, P in self._parts(self.last):
             self._clock()
-            excess = self._excess(a, level, cell)
-            if any(at(excess, x) >= 0 for x in cell.corners):
-                if any(at(excess, x) >= 0 for x in clip_all(cell.corners, lines, self._clock)):
+            self._work["parts"] += 1
+            excess = self._excess(r, level, number)
+            if any(at(excess, x) >= 0 for x in P):
+                if any(at(excess, x) >= 0 for x in clip_all(P, forms, self._clock)):
                     return True
         return False
+
+    # -- by cases --
+
+    @cached_property
+    def cases(self) -> CaseCheck:
+        """What checks proofs by cases."""
+        return CaseCheck(self.certificate, self._state_set, self._disturbances, self._clock)
+
+    def _by_cases(self, trees: Sequence[Tree], k: int | None, j: int = 0) -> Finding | None:
+        """None if trees of cases show that the image of R_k lies in R_j, or Phi(X) in U for k = None.
+
+        There is a tree for every row of R_j, or of U, and in it one for every mode after the other.
+        """
+        where, rows = ("U", self.certificate.input_set) if k is None else (name(j), self.sets[j])
+        image = "Phi(X)" if k is None else f"the image of {name(k)}"
+        if len(trees) != len(rows):
+            return unchecked(f"no cases are given that show {image} to lie in {where}")
+        self.cases.enter(self.certificate.state_set if k is None else self.sets[k])
+        modes = (None,) if k is None else range(len(self.certificate.modes))
+        before = self.cases.checked
+        for r, tree in enumerate(trees):
+            nodes = iter(tree)
+            shown = all(self.cases.holds(nodes, number, rows[r]) for number in modes) and next(nodes, None) is None
+            self._work["cases"] += self.cases.checked - before
+            before = self.cases.checked
+            if not shown:
+                return unchecked(f"the cases do not show that {image} satisfies row {r + 1} of {where}")
+        return None
+
+    def _attained(self, S: Rows, r: int, level: Fraction, number: int, x: Row) -> bool:
+        """Whether x in {x : S} attains a x+ >= level in a mode, for row r of the template and some d."""
+        d = (
+            max(self._disturbances[number], key=lambda d: dot(self._C[r], d))
+            if number < len(self._disturbances)
+            else ()
+        )
+        after = self._replay(self.last, number, x, d) if d and all(dot(a, x) <= b for a, b in S) else None
+        return after is not None and dot(self._C[r], after) >= level
+
+    def _claimed_step(self, k: int, j: int, claim: Claim) -> Finding | None:
+        """The step of the claim's witness, if it leads from R_k out of R_j."""
+        witness, n = claim["witness"], self.n
+        try:
+            number, x, d, _ = fields(witness, "the witness", ("mode", "state", "disturbance", "after"))
+            number, x, d = natural(number, "mode") - 1, *(vector(v, "a witness", n, fraction) for v in (x, d))
+        except Malformed:
+            return None
+        if not 0 <= number < len(self.certificate.modes):
+            return None
+        after = self._replay(k, number, x, d)
+        if after is None:
+            return None
+        beyond = [row for row in self.sets[j] if dot(row[0], after) > row[1]]
+        if not beyond or any(dot(a, d) > b for a, b in self.certificate.modes[number].disturbance):
+            return None
+        return self._out(k, j, beyond[0], number, x, d, after)
+
+    # -- witnesses --
 
     def _step_out(self, k: int, j: int, row: HalfSpace, number: int, x: Row) -> Finding:
         """A step from x in R_k beyond a row (a, b) of R_j; x is rounded to few digits if the step still leaves R_j."""
@@ -1110,6 +1530,11 @@ class Claims:
         after = self._replay(k, number, x, d)
         if after is None:
             return unchecked("a step out of the set was found, but it does not replay")
+        return self._out(k, j, row, number, x, d, after)
+
+    def _out(self, k: int, j: int, row: HalfSpace, number: int, x: Row, d: Row, after: Row) -> Finding:
+        """What is said of a step that leads from R_k to beyond a row of R_j."""
+        a, b = row
         step = {"state": texts(x), "mode": number + 1, "disturbance": texts(d), "after": texts(after)}
         leads = f"mode {number + 1} and d = {show(d)} lead to {show(after)}"
         outside = f"outside {name(j)} by {about(dot(a, after) - b)}"
@@ -1122,7 +1547,7 @@ class Claims:
         limits = (self.sets[k], x), (self.certificate.state_set, x), (self.certificate.input_set, u), (mode.region, z)
         if any(dot(a, value) > b for rows, value in limits for a, b in rows):
             return None
-        return tuple(dot((*A, *B), z) + p + e for A, B, p, e in zip(mode.A, mode.B, mode.p, d))
+        return tuple(dot(row, (1, *z)) + e for row, e in zip(mode.rows, d))
 
 
 # -- the error of an approximation --------------------------------------------------------------------
@@ -1297,6 +1722,7 @@ def arguments(**options: Any) -> argparse.ArgumentParser:
     parser.add_argument("file", metavar="FILE", help="a certificate")
     parser.add_argument("--network", metavar="NET.json", help="say whether the certificate speaks of this network")
     parser.add_argument("--ignore-digest", action="store_true", help="go on to the mathematics without comparing it")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.add_argument("--seconds", type=duration, default=SECONDS, help=f"stop after this time; default: {SECONDS}")
     return parser
 
@@ -1314,7 +1740,7 @@ def run(options: argparse.Namespace) -> int:
     except (Malformed, OSError) as error:
         print(f"{options.file} is refused: {error}", file=sys.stderr)
         return 2
-    print(report)
+    print(json.dumps(report.to_dict(), indent=2) if options.json else report)
     return 0 if report.proven else 1
 
 
