@@ -1,7 +1,8 @@
 """Certificates: the results about a loop in one file that anybody can check without trusting this package.
 
-`write` enlarges the sets of floating-point engines until their claims are exactly true. `verify` checks them with
-`checker.py`, which shares no code with the engines. A number is the IEEE float that it is, as in `rational`.
+`write` enlarges the sets of floating-point engines until their claims are exactly true, and adds a proof by cases where
+a loop has many cells. `verify` checks them with `checker.py`, which shares no code with the engines. A number is the
+IEEE float that it is, as in `rational`.
 """
 
 import json
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import prod
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -20,9 +21,9 @@ from ..analysis.terminal_set import TerminalSet
 from ..arithmetic.rational import above, binary, maximize
 from ..checks import require_kind
 from ..engines import exact
-from ..engines.base import Engine
 from ..engines.exact import Exact
-from ..engines.registry import engine_for
+from ..engines.exact_cells import affordable, cells
+from ..errors import CellLimitError
 from ..files import write_json
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
@@ -30,8 +31,11 @@ from ..systems.nonlinear import NonlinearSystem
 from ..tolerances import LARGEST_INFLATION
 from ..typing import Array
 from . import checker
+from .cases import CaseProver
 from .checker import Report
 
+CELLS_OF_A_PROOF = 500  # of a loop with four states whose proof is by cells; see `exact_cells.affordable` for others
+INCLUSIONS = ("safe_set", "sequence", "terminal_set")  # claims that hold if sets are enlarged
 REPAIRS = 30  # steps of the iteration towards the smallest set, before larger sets are tried
 
 
@@ -42,7 +46,7 @@ class Certificate:
     Attributes
     ----------
     content : dict
-        The content of the file (format mireach-certificate/1, see `checker`).
+        The content of the file (format mireach-certificate/1, or /2 with a proof by cases; see `checker`).
     report : Report
         The report of the checker.
     inflation : float
@@ -71,21 +75,21 @@ def write(
     terminal: TerminalSet | None = None,
     *,
     plant: NonlinearSystem | None = None,
-    engine: Engine | str | None = None,
+    proof: Literal["cells", "cases"] | None = None,
 ) -> Certificate:
     """`make` a certificate and write it to a file.
 
     Parameters
     ----------
     path : str or pathlib.Path
-    loop, safe, terminal, plant, engine
+    loop, safe, terminal, plant, proof
         As in `make`.
 
     Returns
     -------
     Certificate
     """
-    made = make(loop, safe, terminal, plant=plant, engine=engine)
+    made = make(loop, safe, terminal, plant=plant, proof=proof)
     made.save(path)
     return made
 
@@ -96,7 +100,7 @@ def make(
     terminal: TerminalSet | None = None,
     *,
     plant: NonlinearSystem | None = None,
-    engine: Engine | str | None = None,
+    proof: Literal["cells", "cases"] | None = None,
 ) -> Certificate:
     """A certificate of the results about a loop.
 
@@ -110,9 +114,11 @@ def make(
     plant : NonlinearSystem or None
         The plant that the loop's system approximates, with a polynomial f: the error set and Theorem 2 are claimed as
         well.
-    engine : Engine, str or None
-        The engine of the bounds in the certificate, for more than two states; None as in `mireach.support`. For two
-        states the bounds are exact.
+    proof : {"cells", "cases"} or None
+        How the images of sets are proven. "cells": the checker derives the cells of the loop, and the file holds
+        nothing for that. "cases": the file holds trees of cases with multipliers, for loops with too many cells. None
+        chooses "cells" for up to 500 cells of four states, half as many for each further state, twice as many for each
+        less.
 
     Returns
     -------
@@ -124,40 +130,55 @@ def make(
         If an argument is of another kind.
     ValueError
         If there is no safe set, the terminal set does not start from it or has no steps, or f is not a polynomial.
+    CellLimitError
+        If `proof` is "cells" and there are more than the exact engine keeps, or if a proof by cases becomes too long.
 
     Notes
     -----
-    In the plane, R_1 of each set is bounded anew in rational arithmetic and rounded up to floats. Where it exceeds the
-    set that should contain it, by the rounding of the engine that computed that set, the set is enlarged: the iteration
-    h <- max(h, h of R_1) leads to the smallest set with these rows for which the claim is true. Where more than
-    `LARGEST_INFLATION` would be necessary the set is not changed. Nothing depends on the unit of the states.
+    Sets of engines that round are most often right as they are. Where R_1 of a set exceeds the set that should contain
+    it, that set is enlarged: the iteration h <- max(h, h of R_1), with R_1 rounded up, leads to the smallest set with
+    these rows for which the claim is true. A proof by cases has short multipliers and needs a little room, about 1e-12
+    of the size of X. Where more than `LARGEST_INFLATION` would be necessary the set is not changed. Nothing depends on
+    the unit of the states.
 
     A claim that the checker does not confirm is "not proven" in the file, with the checker's reason and, if it has
-    one, a witness: a state of fractions without a successor, or a step that leads out of the set. For more than two
-    states claims are at best "bounded", by the bounds of a solver.
+    one, a witness: a state of fractions without a successor, or a step that leads out of the set.
     """
     require_kind(loop, ClosedLoop, "loop")
     history = _history(safe, terminal)
-    planar = loop.system.state_size == 2
-    bounding: Engine = Exact() if planar else engine_for(loop, engine)
     C = _template(loop, history)
     wanted = [_offsets(loop, R, C) for R in history]
-    sets, bounds = _repaired(_Images(loop, C, bounding), wanted)
-    content = {
-        "format": checker.FORMAT,
-        "system": loop.system.to_dict(),
-        "network": loop.network.to_dict(),
-        "template": C.tolist(),
-        "sets": [h.tolist() for h in sets],
-        "claims": _claims(C, sets, terminal, plant, planar),
-    }
-    if plant is not None:
-        content["plant"] = {"f": _polynomials(plant, loop, history[0])}
-    if not planar:
-        content["bounds"] = {"solver": bounding.software, "offsets": [h.tolist() for h in bounds]}
-    report = _settled(content)
-    content["digest"] = checker.digest(checker.parse(json.dumps(content)))
-    return Certificate(content, report, max(float((h - given).max()) for h, given in zip(sets, wanted)))
+    known = {"system": loop.system.to_dict(), "network": loop.network.to_dict(), "template": C.tolist()}
+    f = {} if plant is None else {"plant": {"f": _polynomials(plant, loop, history[0])}}
+
+    def content(sets: Sequence[Array], **more: Any) -> dict[str, Any]:
+        said = {"sets": [h.tolist() for h in sets], "claims": _claims(C, sets, terminal, plant)}
+        return {"format": checker.WITH_CASES if more else checker.FORMAT, **known, **said, **f, **more}
+
+    if proof == "cells" or (proof is None and _has_few_cells(loop)):
+        sets, made = wanted, content(wanted)
+        report = _settled(made)
+        if any(one.claim in INCLUSIONS and one.verdict == "refuted" for one in report.results):
+            sets = _repaired(_ExactImages(loop, C), loop, C, wanted)
+            made = content(sets)
+            report = _settled(made)
+    else:
+        prover = CaseProver(loop, C, content(wanted))
+        sets = _repaired(prover, loop, C, wanted)
+        made = content(sets, cases=prover.cases(sets, terminal))
+        for name, witness in prover.witnesses(sets):
+            made["claims"].get(name, {}).update(verdict="not proven", witness=witness)
+        report = _settled(made)
+    made["digest"] = checker.digest(checker.parse(json.dumps(made)))
+    return Certificate(made, report, max(float((h - given).max()) for h, given in zip(sets, wanted)))
+
+
+def _has_few_cells(loop: ClosedLoop) -> bool:
+    """Whether the checker is to derive the cells of a loop."""
+    try:
+        return len(cells(loop, CELLS_OF_A_PROOF)) <= affordable(loop.system.state_size, CELLS_OF_A_PROOF)
+    except CellLimitError:
+        return False
 
 
 # -- sets ---------------------------------------------------------------------------------------------
@@ -200,69 +221,69 @@ def _support(R: Polytope, rows: tuple[Any, Any], c: Array) -> float:
     return R.support(c[None])[0] if value == -np.inf else above(value)
 
 
-class _Images(NamedTuple):
-    """Images of sets {x : C x <= h} under a loop, by the bounds of an engine."""
+class _Images(Protocol):
+    """Images of sets {x : C x <= h} under a loop."""
 
-    loop: ClosedLoop
-    C: Array
-    engine: Engine
-
-    def __call__(self, h: Array) -> Array:
-        """h of R_1({x : C x <= h}) along C, rounded up."""
-        return support(self.loop, Polytope(self.C, h), self.C, engine=self.engine).bound
+    def __call__(self, h: Array, wanted: Array) -> Array:
+        """Offsets along C, not below `wanted`, of a set that holds R_1({x : C x <= h})."""
 
 
-def _repaired(images_of: _Images, wanted: Sequence[Array]) -> tuple[list[Array], list[Array]]:
-    """Offsets, not below `wanted`, for which R_1 of each set lies in the next one; and h of R_1 of each set.
+class _ExactImages:
+    """Images in exact arithmetic, rounded up."""
+
+    def __init__(self, loop: ClosedLoop, C: Array) -> None:
+        self._loop, self._C = loop, C
+
+    def __call__(self, h: Array, wanted: Array) -> Array:
+        return np.maximum(wanted, support(self._loop, Polytope(self._C, h), self._C, engine=Exact()).bound)
+
+
+def _repaired(images: _Images, loop: ClosedLoop, C: Array, wanted: Sequence[Array]) -> list[Array]:
+    """Offsets, not below `wanted`, for which R_1 of each set lies in the next one.
 
     Where that needs more than `LARGEST_INFLATION`, offsets are not changed.
     """
-    X = images_of.loop.system.state_set
-    most = LARGEST_INFLATION * np.array([_support(X, X.exact, c) + _support(X, X.exact, -c) for c in images_of.C])
-    h, image = _invariant(images_of, wanted[0], most)
-    sets, images = [h], [image]
+    X = loop.system.state_set
+    most = LARGEST_INFLATION * np.array([_support(X, X.exact, c) + _support(X, X.exact, -c) for c in C])
+    sets = [_invariant(images, wanted[0], most)]
     for given in wanted[1:]:
-        raised = np.maximum(given, images[-1])
-        h = np.minimum(raised if (raised - given <= most).all() else given, sets[-1])
-        sets.append(h)
-        images.append(images_of(h))
-    return sets, images
+        raised = images(sets[-1], given)
+        sets.append(np.minimum(raised if (raised - given <= most).all() else given, sets[-1]))
+    return sets
 
 
-def _invariant(images_of: _Images, wanted: Array, most: Array) -> tuple[Array, Array]:
-    """The smallest offsets h, not below `wanted`, with R_1({x : C x <= h}) in {x : C x <= h}; and h of that R_1.
+def _invariant(images: _Images, wanted: Array, most: Array) -> Array:
+    """The smallest offsets h, not below `wanted`, with R_1({x : C x <= h}) in {x : C x <= h}.
 
     They are `wanted` if an offset would have to be raised by more than `most`.
     """
     h = wanted
     for _ in range(REPAIRS):
-        image = images_of(h)
-        if (image <= h).all():
-            return h, image
-        h = np.maximum(h, image)
+        raised = images(h, h)
+        if (raised <= h).all():
+            return h
+        h = raised
         if (h - wanted > most).any():
-            return wanted, images_of(wanted)
+            return wanted
     step = h - wanted  # the iteration converges slowly: larger sets are tried
     while (step <= most).all():
         h, step = wanted + step, 2 * step
-        image = images_of(h)
-        if (image <= h).all():
-            return h, image
-    return wanted, images_of(wanted)
+        if (images(h, h) <= h).all():
+            return h
+    return wanted
 
 
 # -- content ------------------------------------------------------------------------------------------
 
 
 def _claims(
-    C: Array, sets: Sequence[Array], terminal: TerminalSet | None, plant: NonlinearSystem | None, planar: bool
+    C: Array, sets: Sequence[Array], terminal: TerminalSet | None, plant: NonlinearSystem | None
 ) -> dict[str, dict[str, Any]]:
     """The claims before the checker has run."""
     claims: dict[str, dict[str, Any]] = {"inputs": {}, "safe_set": {}}
-    verdict = "proven" if planar else "bounded"
     if terminal is not None:
         c = terminal.centre.tolist()
-        alpha = exact.growth(C, sets[-2], sets[-1], c) if planar else _growth_of_offsets(C, sets[-2], sets[-1], c)
+        alpha = exact.growth(C, sets[-2], sets[-1], c)
         alpha = None if alpha is not None and alpha < 0 else alpha  # c is not in the set before the last
         claims |= {
             "sequence": {},
@@ -274,24 +295,9 @@ def _claims(
                 "stable": alpha is not None and alpha > 1,
             },
         }
-    claims = {name: {"verdict": verdict, **claim} for name, claim in claims.items()}
     if plant is not None:
-        claims["error_set"] = {"verdict": "proven"}
-        claims["theorem_2"] = {"verdict": verdict}
-    return claims
-
-
-def _growth_of_offsets(C: Array, before: Array, h: Array, centre: Sequence[float]) -> Fraction | None:
-    """As `exact.growth`, from the offsets of both sets: a lower bound where R has rows that do not touch it."""
-    c = [Fraction(entry) for entry in centre]
-    shares = []
-    for row, *limits in zip(C.tolist(), before.tolist(), h.tolist()):
-        middle = sum((Fraction(entry) * part for entry, part in zip(row, c)), Fraction(0))
-        outer, inner = (Fraction(limit) - middle for limit in limits)
-        if inner <= 0:
-            return None
-        shares.append(outer / inner)
-    return min(shares)
+        claims |= {"error_set": {}, "theorem_2": {}}
+    return {name: {"verdict": "proven", **claim} for name, claim in claims.items()}
 
 
 def _settled(content: dict[str, Any]) -> Report:
