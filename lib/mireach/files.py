@@ -60,14 +60,14 @@ def write_json(path: str | Path, value: Any, indent: int | None = None) -> None:
     write_whole(path, json.dumps(value, indent=indent, allow_nan=False) + "\n")
 
 
-def read_json(path: str | Path, format: str) -> Any:
+def read_json(path: str | Path, *formats: str) -> Any:
     """Read a JSON file of this package.
 
     Parameters
     ----------
     path : str or Path
-    format : str
-        What the file's key "format" has to say.
+    *formats : str
+        What the file's key "format" may say.
 
     Raises
     ------
@@ -79,6 +79,6 @@ def read_json(path: str | Path, format: str) -> Any:
     except (ValueError, RecursionError) as error:
         raise CorruptFileError(f"{path} is not valid JSON ({error}): restore or write it again") from error
     found = value.get("format") if isinstance(value, dict) else None
-    if found != format:
-        raise CorruptFileError(f"{path} has the format {found!r}, but {format!r} is needed")
+    if found not in formats:
+        raise CorruptFileError(f"{path} has the format {found!r}, but {' or '.join(map(repr, formats))} is needed")
     return value

@@ -175,6 +175,7 @@ class CaseProver:
         nodes: list[Node] = []
         excess, state = Fraction(0), None
         hidden = self._certificate.network.hidden
+        objective, own = self._check.objective(number, row)
         left: list[checker.Choices] = [{}]
         while left:
             choices = left.pop()
@@ -182,7 +183,7 @@ class CaseProver:
             if self._count > MOST_CASES:
                 raise CellLimitError(f"a proof by cases needs more than {MOST_CASES} cases")
             case, limits = self._check.case(number, choices)
-            form, unit = self._check.objective(case, number, row)
+            form, unit = checker.combine(objective, case.z, case.unit), own * case.unit
             key = number, frozenset(choices.items())
             if key not in self._programs:
                 self._programs[key] = _Relaxation(case, limits, [pool for _, pool in hidden])

@@ -2,7 +2,7 @@
 
     python3 run.py verify FILE        or, with nothing installed,        python3 lib/mireach/certificate/checker.py FILE
 
-A certificate (format mireach-certificate/1) is one JSON file:
+A certificate (format mireach-certificate/1, or /2 with `cases`) is one JSON file:
 
     system      modes (A, B, p, region of (x, u), disturbance), state_set X, input_set U; every set is {"H", "h"}
     network     Phi, as in network.json
@@ -11,7 +11,8 @@ A certificate (format mireach-certificate/1) is one JSON file:
     claims      the claims, see `CLAIMS`, each with a "verdict"
     plant       f of x+ = f(x, u), where the system approximates a plant: for every component of f a list of
                 {"coefficient", "powers"}, the powers in the order x, u
-    bounds      where the state has not two entries: {"solver", "offsets"}, bounds on R_1 of each set along C
+    cases       in format /2, a proof by cases: {"inputs", "images", "attained"}, see `Cases`
+    bounds      in some files of format /1, of a solver; nothing rests on them
     digest      SHA-256 of everything else
 
 How numbers are read. Every number is the IEEE double that it is, which is the double nearest to the decimal in the
@@ -22,14 +23,20 @@ What the system is. A mode acts on (x, u) with x in X, u in U and (x, u) in its 
 any d of its disturbance set. A state x has a successor if a mode acts on (x, Phi(x)). All sets are closed: pieces that
 are only an edge or a point count, and where regions meet, every one of their modes acts.
 
-How a claim is proven. In the plane Phi is affine on convex pieces. A piece is a list of corners, in order around it;
-a corner (X, Y, W), W > 0, stands for the point (X/W, Y/W), a line (a, b, c) for the half-plane a X + b Y + c W <= 0,
-all of them whole numbers, so that nothing is ever rounded. What is affine on a piece is a *form*, again (a, b, c),
-over a unit > 0: its value is (a X + b Y + c W) / (unit W). Affine functions are largest in corners, which decides
-every claim about the image of a set.
+How a claim is proven. All numbers are whole, so that nothing is ever rounded. A corner (W, X), W > 0, stands for the
+point X / W of R^n. A *form* (c, a) over a unit > 0 is the affine function with the value (c W + a X) / (unit W) there,
+and also the half-space in which it is at most 0. There are two kinds of proof about the image of a set.
 
-What a check may cost. Sizes are limited before anything is converted (the `MOST_` constants), so that reading takes
-about a second at most; digest and mathematics end after `seconds`, or where they would hold more than `MOST_MEMORY`.
+By cells: Phi is affine on convex pieces, and so is x+ on the cells that regions cut from them. They are polytopes,
+given by their corners and the limits that are tight in each (double description). Affine functions are largest in
+corners, which decides every claim, and gives a witness against one that is false.
+
+By cases, where the cells are too many: the file has trees in which the winning channels of some neurons are chosen, and
+for every case the multipliers of weak duality. The limits of a case are derived here; the multipliers add up to a proof
+or they do not. See `Case`, `bound` and `CaseCheck`.
+
+What a check may cost. Sizes are limited before anything is converted (the `MOST_` constants), so that reading takes a
+few seconds at most; digest and mathematics end after `seconds`, or where they would hold more than `MOST_MEMORY`.
 """
 
 import argparse
@@ -77,9 +84,9 @@ KINDS = {  # of proof, by what is counted in it
 }
 
 SECONDS = 600  # after which the rest is "not checked"
-MOST_BYTES = 2_000_000  # of a file
+MOST_BYTES = 6_000_000  # of a file
 MOST_LEVELS = 20  # of lists and objects in one another
-MOST_COMMAS = 200_000  # of a file, which limits the number of its entries
+MOST_COMMAS = 1_000_000  # of a file, which limits the number of its entries
 MOST_ENTRIES = 2_000  # of one list
 MOST_REMEMBERED = 100_000  # supports of disturbance sets
 MOST_MEMORY = 300_000_000  # bytes of whole numbers that are held at once, see `bytes_of`
@@ -989,6 +996,7 @@ class CaseCheck:
         self.certificate, self._disturbances, self._clock = certificate, disturbances, clock
         self._ends = [(min(entry), max(entry)) for entry in zip(*map(point, X))]
         self._known: dict[Any, tuple[Case, list[Limit]]] = {}
+        self._spread: dict[tuple[int, Row], Fraction] = {}
         self.checked = 0
 
     def enter(self, rows: Rows) -> None:
@@ -1023,16 +1031,15 @@ class CaseCheck:
             self._known[key] = case, limits
         return self._known[key]
 
-    def objective(self, case: Case, number: int | None, row: HalfSpace) -> tuple[Form, int]:
-        """a x+ + h(a) - b in a mode, h the support function of its D, or a u - b: a form, and its unit."""
+    def objective(self, number: int | None, row: HalfSpace) -> tuple[Form, int]:
+        """a x+ + h(a) - b in a mode, h the support function of its D, or a u - b: a form of (x, u), and its unit."""
         a, b = row
         if number is None:
-            total, own = whole((-b, *((Fraction(0),) * self.certificate.network.inputs), *a))
-        else:
-            constant, *linear = (dot(a, column) for column in zip(*self.certificate.modes[number].rows))
-            spread = max(dot(a, d) for d in self._disturbances[number])
-            total, own = whole((constant + spread - b, *linear))
-        return combine(total, case.z, case.unit), own * case.unit
+            return whole((-b, *((Fraction(0),) * self.certificate.network.inputs), *a))
+        if (number, a) not in self._spread:
+            self._spread[number, a] = max(dot(a, d) for d in self._disturbances[number])
+        constant, *linear = (dot(a, column) for column in zip(*self.certificate.modes[number].rows))
+        return whole((constant + self._spread[number, a] - b, *linear))
 
     def holds(self, nodes: Iterator[Sequence[int]], number: int | None, row: HalfSpace) -> bool:
         """Whether the next nodes of a tree show that a row holds in a mode (None: for Phi), whatever channels win.
@@ -1041,6 +1048,7 @@ class CaseCheck:
         channels of this neuron win, in their order; any other node are the weights of a `bound`.
         """
         hidden = self.certificate.network.hidden
+        objective, unit = self.objective(number, row)
         left: list[Choices] = [{}]
         while left:
             self._clock()
@@ -1057,7 +1065,8 @@ class CaseCheck:
             case, limits = self.case(number, choices)
             if not len(node) % 2 or any(i >= len(limits) for i in node[1::2]):
                 return False
-            found = bound(*self.objective(case, number, row), node, limits, case.box)
+            form = combine(objective, case.z, case.unit)
+            found = bound(form, unit * case.unit, node, limits, case.box)
             if found is None or found > 0:
                 return False
         return True

@@ -69,8 +69,9 @@ class Analysis:
         About the closed loop's equilibrium; None if it has none.
     minimal : MinimalSet
     maximal : MaximalSafeSet or None
-    certificate : Certificate or None
-        Of F_max, the terminal set about the origin, and the theorems. Both are for two states alone.
+        For two states alone.
+    certificate : Certificate
+        Of F_max, the terminal set about the origin, and the theorems.
     exactly : dict of str to bool
         Of every set, whether its claim is proven in exact arithmetic.
     exact_supports : dict of str to list of Fraction
@@ -92,7 +93,7 @@ class Analysis:
     centred: TerminalSet | None
     minimal: MinimalSet
     maximal: MaximalSafeSet | None
-    certificate: Certificate | None
+    certificate: Certificate
     exactly: dict[str, bool]
     exact_supports: dict[str, list[Fraction]]
     trajectories: Trajectories
@@ -165,17 +166,17 @@ def analyse(
         centred = _about_equilibrium(case, safe, engine)
     with _timed(seconds, "scaled_minimal_set"):
         minimal = scaled_minimal_set(loop, case.directions, case.epsilon, safe=safe, engine=engine)
-    maximal = certificate = None
+    maximal = None
     if case.system.state_size == 2:
         with _timed(seconds, "maximal_safe_set"):
             maximal = maximal_safe_set(loop)
-        with _timed(seconds, "certificate"):
-            certificate = make(loop, safe, terminal, plant=case.plant)
+    with _timed(seconds, "certificate"):
+        certificate = make(loop, safe, terminal, plant=case.plant)
     with _timed(seconds, "trajectories"):
         trajectories = _trajectories(case, safe.set, terminal.steps, engine)
     with _timed(seconds, "exact_proofs"):
-        exactly = {} if certificate is None else _proven_by_certificate(certificate)
-        exactly |= _proven_exactly(loop, terminal, centred, minimal, maximal, trajectories.reach)
+        exactly = _proven_by_certificate(certificate)
+        exactly |= _proven_exactly(loop, centred, minimal, maximal, trajectories.reach)
         exact_supports = {
             "safe_set": _exact_supports(case, safe.set),
             "terminal_set": _exact_supports(case, terminal.set),
@@ -247,7 +248,6 @@ def _proven_by_certificate(certificate: Certificate) -> dict[str, bool]:
 
 def _proven_exactly(
     loop: ClosedLoop,
-    terminal: TerminalSet,
     centred: TerminalSet | None,
     minimal: MinimalSet,
     maximal: MaximalSafeSet | None,
@@ -259,10 +259,6 @@ def _proven_exactly(
         return all((support(loop, F, G.H, engine="exact").bound <= G.h).all() for F, G in pairwise(sets))
 
     proven = {}
-    if maximal is None:
-        proven["F_max"] = holds_images([terminal.history[0], terminal.history[0]])
-        proven["R_1 to R_k"] = holds_images(terminal.history)
-        proven["terminal set"] = holds_images([terminal.set, terminal.set])
     if centred is not None:
         proven["terminal set about the equilibrium"] = holds_images([*centred.history, centred.set])
     if minimal.set is not None:

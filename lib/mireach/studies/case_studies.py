@@ -326,7 +326,7 @@ def load_sets(name: str) -> list[Polytope]:
     45
     """
     path = data_file(name, "certificate.json")
-    value = read_json(path, checker.FORMAT)
+    value = read_json(path, checker.FORMAT, checker.WITH_CASES)
     try:
         return [Polytope(value["template"], h) for h in value["sets"]]
     except (KeyError, TypeError, ValueError) as error:

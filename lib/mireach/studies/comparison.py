@@ -155,10 +155,9 @@ def _theorem_1_rows(analysis: Analysis) -> Iterator[Row]:
         f"1 + {analysis.contraction - 1:.2g}" if analysis.contraction > 1 else "1",
         "all that the proof of Theorem 1 uses of eq. (26), StabCondFmin; above 1 the terminal set is stable",
     )
-    if certificate is not None:
-        theorem = certificate.report["theorem_1"]
-        remark = f"alpha = {certificate.alpha}; {theorem.reason}"
-        yield Row("Theorem 1, decided by a fraction", "-", theorem.verdict, remark)
+    theorem = certificate.report["theorem_1"]
+    remark = f"alpha = {certificate.alpha}; {theorem.reason}"
+    yield Row("Theorem 1, decided by a fraction", "-", theorem.verdict, remark)
 
 
 def _other_set_rows(analysis: Analysis) -> Iterator[Row]:
@@ -185,7 +184,7 @@ def _other_set_rows(analysis: Analysis) -> Iterator[Row]:
 def _proof_rows(analysis: Analysis) -> Iterator[Row]:
     for name, holds in analysis.exactly.items():
         yield Row(f"{name}: proven exactly", "-", "yes" if holds else "no")
-    if analysis.certificate is None:
+    if analysis.maximal is None:
         gaps = _gaps(analysis)
         yield Row(
             "bounds of R_1 less their exact values", "-", f"{min(gaps):.2g} to {max(gaps):.2g}", "of F_max and of R_min"

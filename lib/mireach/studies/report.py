@@ -34,7 +34,7 @@ def reproduce(
     figures : str or Path
         Folder of the figures, as SVG and PNG.
     certificates : str or Path
-        Folder that gets CASE/certificate.json for two states.
+        Folder that gets CASE/certificate.json.
     engine, cross_check
         As in `case_analysis.analyse`.
     progress : bool
@@ -57,8 +57,7 @@ def reproduce(
     analyses = [analyse(case_study(name), engine, cross_check, progress=progress) for name in REPORTED]
     draw_figures(analyses, figures)
     for analysis in analyses:
-        if analysis.certificate is not None:
-            analysis.certificate.save(Path(certificates) / analysis.case.name / "certificate.json")
+        analysis.certificate.save(Path(certificates) / analysis.case.name / "certificate.json")
     text = "\n".join(["# The paper and this reproduction\n", *(compare(analysis).markdown() for analysis in analyses)])
     cases = {analysis.case.name: as_dict(analysis) for analysis in analyses}
     write_json(Path(results) / "report.json", {"format": FORMAT, "cases": cases})
@@ -96,8 +95,8 @@ def as_dict(analysis: Analysis) -> dict[str, Any]:
             "directions": case.directions.tolist(),
             **{name: [str(value) for value in values] for name, values in analysis.exact_supports.items()},
         },
-        "claims": None if certificate is None else _claims_dict(certificate),
-        "exact_alpha": None if certificate is None or certificate.alpha is None else str(certificate.alpha),
+        "claims": _claims_dict(certificate),
+        "exact_alpha": None if certificate.alpha is None else str(certificate.alpha),
         "trajectories": analysis.count_trajectories(),
         "cross_check": analysis.cross_check,
         "paper": case.paper,
@@ -122,7 +121,8 @@ def _terminal_dict(terminal: TerminalSet) -> dict[str, Any]:
 
 
 def _claims_dict(certificate: Certificate) -> dict[str, Any]:
-    return {one.claim: {"verdict": one.verdict, "reason": one.reason} for one in certificate.report.results}
+    said = ("verdict", "reason", "kind", "work")
+    return {one.claim: {key: getattr(one, key) for key in said} for one in certificate.report.results}
 
 
 def _maximal_dict(maximal: MaximalSafeSet) -> dict[str, Any]:

@@ -500,8 +500,8 @@ def retrain(name: str, seed: int | None = None, folder: str | Path | None = None
     seed : int or None
         None is the seed whose network is shipped: that of the study, or 0 for a case without one.
     folder : str, Path or None
-        Where samples.csv and network.json are written, and certificate.json for a case with more than two states,
-        with the bounds of the default engine; None is the case's folder in `data`.
+        Where samples.csv and network.json are written, and certificate.json for a case with more than two states;
+        None is the case's folder in `data`.
     progress : bool
 
     Returns
