@@ -708,7 +708,9 @@ print(f"\nreplayed: {x} -> {loop.step(x, d).round(6)}")
 # %%
 fig, ax = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
 false_set = mr.Polytope(forged["template"], forged["sets"][0])
-plotting.draw_set(ax, false_set.project([0, 2]), edgecolor=GREEN, facecolor="none", label=r"forged $\mathcal{F}_{\max}$")
+plotting.draw_set(
+    ax, false_set.project([0, 2]), edgecolor=GREEN, facecolor="none", label=r"forged $\mathcal{F}_{\max}$"
+)
 ax.plot(x[0], x[2], "o", color=RED, markersize=4)
 ax.annotate("", after[[0, 2]], x[[0, 2]], arrowprops={"arrowstyle": "->", "color": RED})
 ax.plot([], [], color=RED, marker="o", markersize=4, label="a step out of it")
@@ -734,11 +736,11 @@ for node in made.content["cases"]["images"][0]["rows"][0][:3]:
     print(node)
 
 # %% [markdown]
-# The last lines are the first nodes of the tree for $x_1 \le \ldots$ of $\mathcal{F}_{\max}$. A node with two entries
-# splits a case by the channels of a neuron (layer, neuron). In any other node, the first entry multiplies the row of the
-# image, and pairs of a limit's number and its multiplier follow. Change one of these numbers: the sum no longer proves
-# the row, and the checker says *not checked*. No change of a proof can make a false claim true. The shipped certificate
-# of the `quadrotor`, with six states, is of this kind: 4,700 cases, checked in ten seconds.
+# The last lines are the first nodes of the tree for the first facet of $\mathcal{F}_{\max}$. A node with two entries
+# (layer, neuron) splits a case by the channels of this neuron. In any other node, the first entry multiplies the row of
+# the image, and pairs of a limit's number and its multiplier follow. If you change a multiplier and the sum no longer
+# proves the row, the checker says *not checked*. No change of a proof can make a false claim *proven*. The shipped
+# certificate of the `quadrotor`, with six states, is of this kind: 4,750 cases, checked in about ten seconds.
 #
 # **The verdicts of the package.** Each result states in `settled` what its verdict rests on: *exact arithmetic*,
 # *rounding counted* (the bounds include every rounding error), or only the word of a solver. `mr.Exact` does not round
