@@ -88,7 +88,10 @@ def polynomial(mode):
 
     def f(x, u):
         more = (0.01 * x[0] * x[-1], 0.01 * x[-1] ** 2 - 0.002 * u[0])
-        return [sum((e * v for e, v in zip(a, x)), b[0] * u[0] + c) + more[i % 2] for i, (a, b, c) in enumerate(zip(A, B, p))]
+        return [
+            sum((e * v for e, v in zip(a, x)), b[0] * u[0] + c) + more[i % 2]
+            for i, (a, b, c) in enumerate(zip(A, B, p))
+        ]
 
     return f
 
@@ -276,7 +279,9 @@ def change_alpha(content, rng):
 def change_centre(content, rng):
     for name in ("criterion", "theorem_1"):
         if name in content["claims"]:
-            content["claims"][name]["centre"] = (rng.normal(size=len(content["template"][0])) * rng.choice([0.1, 3])).round(3).tolist()
+            content["claims"][name]["centre"] = (
+                (rng.normal(size=len(content["template"][0])) * rng.choice([0.1, 3])).round(3).tolist()
+            )
 
 
 def change_epsilon(content, rng):
@@ -415,7 +420,7 @@ def change_entry(content, rng):
     """A weight, a number of a limit, a layer or a neuron."""
     node = any_node(content, rng)
     i = rng.integers(len(node))
-    node[i] = [node[i] + 1, max(node[i] - 1, 0), 0, 1, 2 * node[i], 10**30, 10**300, -1, -node[i], 0.5][rng.integers(10)]
+    node[i] = [node[i] + 1, max(node[i] - 1, 0), 0, 1, 2 * node[i], 10**30, 1e300, -1, -node[i], 0.5][rng.integers(10)]
 
 
 def change_weights(content, rng):
@@ -430,7 +435,7 @@ def change_limits(content, rng):
     """The numbers of the limits of a node, some of them beyond those that there are."""
     node = any_node(content, rng, lambda node: len(node) > 2 and len(node) % 2)
     for i in range(1, len(node), 2):
-        node[i] = int(rng.choice([node[i], node[i] + 1, 0, 10**6, 10**300 if rng.random() < 0.1 else 5]))
+        node[i] = int(rng.choice([node[i], node[i] + 1, 0, 10**6, 1e300 if rng.random() < 0.1 else 5]))
 
 
 def erase_node(content, rng):
@@ -457,7 +462,7 @@ def split_elsewhere(content, rng):
     """A split of another neuron, of one that there is not, of one that is split already, or a leaf that was a split."""
     node = any_node(content, rng, lambda node: len(node) == 2)
     other = any_node(content, rng, lambda node: len(node) == 2)
-    node[:] = [[0, 0], [1, 0], [0, 1], [99, 0], [0, 10**6], [0, 10**300], other, [1]][rng.integers(8)]
+    node[:] = [[0, 0], [1, 0], [0, 1], [99, 0], [0, 10**6], [0, 1e300], other, [1]][rng.integers(8)]
 
 
 def split_more(content, rng):
