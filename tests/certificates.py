@@ -2,7 +2,7 @@
 
 The oracle reads the text itself, every number as the float that it is, lists corners by brute force in fractions,
 replays random steps in fractions, and asks the exact engine and `prove_error` about a loop that it builds from the
-floats of the text.
+floats of the text. It does not look at proofs by cases: what they prove has to be true.
 """
 
 import json
@@ -12,46 +12,59 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cache, cached_property, lru_cache, wraps
 from itertools import combinations, pairwise, product
-from math import gcd, lcm
+from math import comb, gcd, lcm
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
-import shapely
 from loops import enclosing_inputs, exact_input, random_loop
 
 import mireach as mr
+from mireach.arithmetic.rational import maximize, rational
 from mireach.certificate import checker, make
+from mireach.certificate.cases import CaseProver
 from mireach.engines import exact_cells
+from mireach.errors import CellLimitError
+from mireach.systems import partition
 
 SAMPLES = 3  # corners, and random states, that are replayed for one image
 SMALLEST, LARGEST = Fraction("1e-300"), 10**15  # beyond these the engines' floats are of no use: fractions alone judge
 UNDECIDED = 1e-11  # a criterion closer to equality than this is not judged by the oracle's floats
-ERROR = 1e-9  # by which `prove_error` ends its search
+ERROR = 1e-9  # by which `prove_error` ends its search, and bounds of other engines than the exact one may be off
+MOST_CHOICES = 20_000  # of n rows, all of which brute force tries
 
 # -- builders -----------------------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=128)
-def random_certificate(seed):
+@lru_cache(maxsize=256)
+def random_certificate(seed, n=2, proof=None):
     """The text of a small certificate: regions of x or of (x, u), jumps, D by mode, sometimes a plant."""
     rng = np.random.default_rng(seed)
     with_plant = seed % 4 == 3
-    cuts, layers = 0 if with_plant else int(rng.integers(1, 3)), int(rng.integers(1, 3))
-    loop = random_loop(seed, cuts=cuts, with_input=seed % 2 == 1, layers=layers)
+    cuts, layers = 0 if with_plant else int(rng.integers(1, 3)), int(rng.integers(1, 3 if n < 4 else 2))
+    pool = int(rng.choice([1, 2, 3])) if n != 2 or proof else 2
+    loop = random_loop(seed, n, cuts=cuts, with_input=seed % 2 == 1, layers=layers, pool=pool, saturated=seed % 6 == 2)
     plant = None
     if with_plant:
-        loop, plant = near_polynomial(loop, rng)
+        loop, plant = near_polynomial(loop)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for _ in range(8):
             loop = contracted(loop, 0.6)
-            safe = mr.safe_set(loop, mr.directions(int(rng.integers(4, 9))))
-            if safe.set is not None and (mr.directions(8) @ safe.set.chebyshev()[0]).max() < 10:
+            safe = mr.safe_set(loop, template(rng, int(rng.integers(4, 9)), n))
+            if safe.set is not None and safe.set.support(mr.box_directions(n)).max() < 10:
                 break
         if plant is not None:  # of the loop as it is now
             plant = mr.NonlinearSystem(polynomial(loop.system.modes[0]), plant.state_set, plant.input_set)
-        terminal = mr.terminal_set(loop, safe, mr.directions(4), 0.05, max_steps=5) if seed % 5 else None
-        return json.dumps(make(loop, safe, terminal, plant=plant).content)
+        terminal = mr.terminal_set(loop, safe, template(rng, 4, n), 0.05, max_steps=5) if seed % 5 else None
+        return json.dumps(make(loop, safe, terminal, plant=plant, proof=proof).content)
+
+
+def template(rng, count, n):
+    """Directions that bound sets: `count` of them in the plane, else those of boxes and up to two more."""
+    if n == 2:
+        return mr.directions(count)
+    return np.vstack([mr.box_directions(n), rng.normal(size=(count % 3, n))])
 
 
 def contracted(loop, factor):
@@ -60,11 +73,12 @@ def contracted(loop, factor):
     return mr.ClosedLoop(replace(loop.system, modes=modes), loop.network)
 
 
-def near_polynomial(loop, rng):
+def near_polynomial(loop):
     """The loop with a D that holds the error of `polynomial`, and a plant."""
     U = loop.system.input_set
     reach = 0.01 * max(np.abs(loop.system.state_set.h)) ** 2 + 0.002 * max(np.abs(U.h)) + 0.01
-    loop = loop.with_disturbance(mr.Polytope.box([-reach, -reach], [reach, reach]))
+    n = loop.system.state_size
+    loop = loop.with_disturbance(mr.Polytope.box([-reach] * n, [reach] * n))
     return loop, mr.NonlinearSystem(lambda x, u: x, loop.system.state_set, U)
 
 
@@ -73,8 +87,11 @@ def polynomial(mode):
     A, B, p = mode.A.tolist(), mode.B.tolist(), mode.p.tolist()
 
     def f(x, u):
-        more = (0.01 * x[0] * x[1], 0.01 * x[1] ** 2 - 0.002 * u[0])
-        return [A[i][0] * x[0] + A[i][1] * x[1] + B[i][0] * u[0] + p[i] + more[i] for i in range(2)]
+        more = (0.01 * x[0] * x[-1], 0.01 * x[-1] ** 2 - 0.002 * u[0])
+        return [
+            sum((e * v for e, v in zip(a, x)), b[0] * u[0] + c) + more[i % 2]
+            for i, (a, b, c) in enumerate(zip(A, B, p))
+        ]
 
     return f
 
@@ -262,7 +279,9 @@ def change_alpha(content, rng):
 def change_centre(content, rng):
     for name in ("criterion", "theorem_1"):
         if name in content["claims"]:
-            content["claims"][name]["centre"] = (rng.normal(size=2) * rng.choice([0.1, 3])).round(3).tolist()
+            content["claims"][name]["centre"] = (
+                (rng.normal(size=len(content["template"][0])) * rng.choice([0.1, 3])).round(3).tolist()
+            )
 
 
 def change_epsilon(content, rng):
@@ -304,6 +323,39 @@ def write_otherwise(text, rng):
     return re.sub(r"(?<=[ -])0\.0(?=[,\s])", "0.000e2", json.dumps(turned(json.loads(text)), indent=1))
 
 
+def move_inputs(content, rng):
+    """The offsets of U a little larger or smaller."""
+    U = content["system"]["input_set"]
+    U["h"] = [offset + float(rng.choice([-1.0, -1e-3, -1e-12, 1e-3])) for offset in U["h"]]
+
+
+def open_gap(content, rng):
+    """An offset of a region a little smaller, which leaves a gap, or larger, where both modes act then."""
+    h = content["system"]["modes"][rng.integers(len(content["system"]["modes"]))]["region"]["h"]
+    h[rng.integers(len(h))] -= float(rng.choice([1e-12, 1e-3, 0.1, -0.1]))
+
+
+def enlarge_disturbance(content, rng):
+    D = content["system"]["modes"][rng.integers(len(content["system"]["modes"]))]["disturbance"]
+    D["h"] = [h + float(rng.choice([1e-13, 1e-3, 0.1])) for h in D["h"]]
+
+
+def flatten(content, rng):
+    """A set without an extent along a row of the template and its opposite, if there is one."""
+    C, h = content["template"], content["sets"][rng.integers(len(content["sets"]))]
+    i = int(rng.integers(len(C)))
+    opposite = [-entry for entry in C[i]]
+    if opposite in C:
+        h[C.index(opposite)] = -h[i]
+
+
+def one_ulp(content, rng):
+    """An offset of a set one float smaller."""
+    h = content["sets"][rng.integers(len(content["sets"]))]
+    i = rng.integers(len(h))
+    h[i] = float(np.nextafter(h[i], -np.inf))
+
+
 MUTATIONS = {
     "a digit": change_digit,
     "a sign": of_tree(change_sign),
@@ -329,12 +381,182 @@ MUTATIONS = {
     "the centre": of_tree(change_centre),
     "epsilon": of_tree(change_epsilon),
     "the version": of_tree(change_version),
+    "U moved": of_tree(move_inputs),
+    "a gap or an overlap": of_tree(open_gap),
+    "a larger D": of_tree(enlarge_disturbance),
+    "a flat set": of_tree(flatten),
+    "an offset, one float": of_tree(one_ulp),
     "a type": of_tree(change_type),
     "a huge number": huge_number,
     "a huge list": of_tree(huge_list),
     "cut off": cut_off,
     "written otherwise": write_otherwise,
 }
+
+# -- mutations of proofs by cases -----------------------------------------------------------------------
+
+LIE = (move_set, move_one_offset, change_plant_slightly, move_inputs, enlarge_disturbance, one_ulp, swap_sets, flip)
+
+
+def trees_of(content):
+    """All trees, those of the inputs and of the images."""
+    cases = content["cases"]
+    return [*cases["inputs"], *(tree for image in cases["images"] for tree in image["rows"])]
+
+
+def any_tree(content, rng):
+    """A tree with nodes; an empty list if there is none."""
+    trees = [tree for tree in trees_of(content) if tree] or [[]]
+    return trees[rng.integers(len(trees))]
+
+
+def any_node(content, rng, wanted=lambda node: node):
+    """A node that is wanted; a new one that belongs to no tree if there is none."""
+    found = [node for tree in trees_of(content) for node in tree if wanted(node)] or [[1]]
+    return found[rng.integers(len(found))]
+
+
+def change_entry(content, rng):
+    """A weight, a number of a limit, a layer or a neuron."""
+    node = any_node(content, rng)
+    i = rng.integers(len(node))
+    node[i] = [node[i] + 1, max(node[i] - 1, 0), 0, 1, 2 * node[i], 10**30, 1e300, -1, -node[i], 0.5][rng.integers(10)]
+
+
+def change_weights(content, rng):
+    """All weights of a node in another proportion, or the weight of the form none."""
+    node = any_node(content, rng, lambda node: len(node) % 2)
+    node[0] = int(rng.choice([0, 1, 10**6]))
+    for i in range(2, len(node), 2):
+        node[i] *= int(rng.choice([1, 2, 10**9]))
+
+
+def change_limits(content, rng):
+    """The numbers of the limits of a node, some of them beyond those that there are."""
+    node = any_node(content, rng, lambda node: len(node) > 2 and len(node) % 2)
+    for i in range(1, len(node), 2):
+        node[i] = int(rng.choice([node[i], node[i] + 1, 0, 10**6, 1e300 if rng.random() < 0.1 else 5]))
+
+
+def erase_node(content, rng):
+    tree = any_tree(content, rng)
+    if tree:
+        del tree[rng.integers(len(tree))]
+
+
+def add_node(content, rng):
+    """A node from elsewhere, or one that says nothing."""
+    node = [list(any_node(content, rng)), [], [1], [0], [0, 0, 1]][rng.integers(5)]
+    tree = any_tree(content, rng)
+    tree.insert(rng.integers(len(tree) + 1), node)
+
+
+def swap_nodes(content, rng):
+    tree = any_tree(content, rng)
+    if tree:
+        i, j = rng.integers(len(tree), size=2)
+        tree[i], tree[j] = tree[j], tree[i]
+
+
+def split_elsewhere(content, rng):
+    """A split of another neuron, of one that there is not, of one that is split already, or a leaf that was a split."""
+    node = any_node(content, rng, lambda node: len(node) == 2)
+    other = any_node(content, rng, lambda node: len(node) == 2)
+    node[:] = [[0, 0], [1, 0], [0, 1], [99, 0], [0, 10**6], [0, 1e300], other, [1]][rng.integers(8)]
+
+
+def split_more(content, rng):
+    """A leaf behind a split, whose other leaves are those that come next, or copies of it."""
+    tree = any_tree(content, rng)
+    if tree:
+        i = rng.integers(len(tree))
+        copies = [list(tree[i]) for _ in range(int(rng.integers(0, 3)))]
+        tree[i:i] = [[int(rng.integers(2)), int(rng.integers(3))], *copies]
+
+
+def cut_tree(content, rng):
+    tree = any_tree(content, rng)
+    del tree[rng.integers(len(tree) + 1) :]
+
+
+def move_trees(content, rng):
+    """Too many trees, too few, or in another order, in one of the images or for the inputs."""
+    cases = content["cases"]
+    lists = [cases["inputs"], *(image["rows"] for image in cases["images"])]
+    trees = lists[rng.integers(len(lists))]
+    change = rng.integers(4)
+    if change == 0 and trees:
+        del trees[rng.integers(len(trees))]
+    elif change == 1:
+        trees.append([])
+    elif change == 2:
+        trees.reverse()
+    else:
+        trees[:] = lists[rng.integers(len(lists))]
+
+
+def move_image(content, rng):
+    """From and to swapped, other numbers, an image that is not there or stands there twice."""
+    images = content["cases"]["images"]
+    image = images[rng.integers(len(images))]
+    change = rng.integers(4)
+    if change == 0:
+        image["from"], image["to"] = image["to"], image["from"]
+    elif change == 1:
+        image[str(rng.choice(["from", "to"]))] = float(rng.choice([0, 1, 2, 10**6, 1e300, -1, 0.5]))
+    elif change == 2:
+        images.remove(image)
+    else:
+        images.append({**image, "to": image["from"]})
+
+
+def change_attained(content, rng):
+    """A state or a mode that is named for a row, or their number."""
+    attained = content["cases"]["attained"]
+    if attained:
+        one = attained[rng.integers(len(attained))]
+        change = rng.integers(4)
+        if change == 0:
+            one["mode"] = float(rng.choice([0, 1, 2, 99, 1e300, -1]))
+        elif change == 1:
+            one["state"] = [entry + float(rng.normal()) * 10.0 ** -rng.integers(0, 12) for entry in one["state"]]
+        elif change == 2:
+            attained.remove(one)
+        else:
+            attained.reverse()
+
+
+CASE_CHANGES = {
+    "a number of a proof": change_entry,
+    "weights": change_weights,
+    "limits": change_limits,
+    "a node erased": erase_node,
+    "a node added": add_node,
+    "two nodes swapped": swap_nodes,
+    "another split": split_elsewhere,
+    "one more split": split_more,
+    "a tree cut off": cut_tree,
+    "trees moved": move_trees,
+    "an image moved": move_image,
+    "attained states": change_attained,
+}
+
+
+def forged(change):
+    """Something false, and a proof by cases that is changed up to four times in a way, or in any."""
+
+    def forge(content, rng):
+        if rng.random() < 0.6:
+            LIE[rng.integers(len(LIE))](content, rng)
+        for _ in range(rng.integers(1, 5)):
+            change(content, rng)
+            if rng.random() < 0.2:
+                list(CASE_CHANGES.values())[rng.integers(len(CASE_CHANGES))](content, rng)
+
+    return forge
+
+
+CASE_MUTATIONS = {kind: of_tree(forged(change)) for kind, change in CASE_CHANGES.items()}
 
 OUTCOMES = ("refused", "refuted", "not checked", "accepted")
 
@@ -368,7 +590,7 @@ def number(text):
 
 
 def dot(a, x):
-    return sum((entry * value for entry, value in zip(a, x)), Fraction(0))
+    return sum(entry * value for entry, value in zip(a, x))
 
 
 def holds(rows, x):
@@ -376,16 +598,40 @@ def holds(rows, x):
     return all(dot(a, x) <= b for a, b in rows)
 
 
-def corners_of(rows):
-    """The corners of a bounded set of the plane: every crossing of two lines that satisfies all rows."""
-    found, lines = set(), {whole_row(a, b) for a, b in rows}
-    for (a, b, c), (d, e, f) in combinations(lines, 2):
-        turn = a * e - b * d
-        if turn:
-            turn, x, y = (turn, c * e - f * b, a * f - d * c) if turn > 0 else (-turn, f * b - c * e, d * c - a * f)
-            if all(u * x + v * y <= w * turn for u, v, w in lines):
-                found.add((Fraction(x, turn), Fraction(y, turn)))
+def corners_of(rows, along=None):
+    """The corners of a bounded set: every point in which n rows are tight and that satisfies all rows.
+
+    Where that would take long, and `along` is given, those that are largest along these directions, and no others.
+    """
+    found, own = set(), {whole_row(a, b) for a, b in rows}
+    n = len(next(iter(own))) - 1
+    if along is not None and comb(len(own), n) > MOST_CHOICES:
+        H, h = ([rational(row[:-1]) for row in own], [rational(row[-1]) for row in own])
+        points = [maximize(H, h, rational(a)).point for a in {tuple(a) for a in along}]
+        return sorted({tuple(Fraction(int(e.p), int(e.q)) for e in x) for x in points if x is not None})
+    for chosen in combinations(own, n):
+        corner = met(chosen)
+        if corner is not None:
+            W, *X = corner
+            if all(dot(row, X) <= row[-1] * W for row in own):
+                found.add(tuple(Fraction(entry, W) for entry in X))
     return sorted(found)
+
+
+def met(rows):
+    """(W, X), W > 0: the one point X / W with a x = b for n rows (a, b) of whole numbers; None if it is not one."""
+    M, before = [list(row) for row in rows], 1
+    for i in range(len(M)):
+        pivot = next((k for k in range(i, len(M)) if M[k][i]), None)
+        if pivot is None:
+            return None
+        M[i], M[pivot] = M[pivot], M[i]
+        for k in range(len(M)):
+            if k != i:
+                M[k] = [(M[i][i] * e - M[k][i] * f) // before for e, f in zip(M[k], M[i])]  # without a remainder
+        before = M[i][i]
+    sign = 1 if before > 0 else -1
+    return [sign * before, *(sign * row[-1] for row in M)]
 
 
 def whole_row(a, b):
@@ -468,9 +714,8 @@ class Oracle:
     @remembered
     def inputs(self):
         """h of Phi(X) along the rows of U, from loops with x+ = (a u, 0)."""
-        if self.n != 2:
-            return False
-        U, X = rows_of(self.system["input_set"]), corners_of(rows_of(self.system["state_set"]))
+        n, U = self.n, rows_of(self.system["input_set"])
+        X = corners_of(rows_of(self.system["state_set"]), along=self._along)
         if not X or not all(holds(U, exact_input(self.network, x)) for x in self._between(X)):
             return False
         if self.beyond_floats:
@@ -478,9 +723,10 @@ class Oracle:
         lower, upper = self.X.bounding_box()
         around = mr.Polytope.box(lower - 1, upper + 1)
         for a, b in U:
-            loop = self._loop([(np.zeros((2, 2)), [floats(a), 0 * floats(a)], np.zeros(2), None, None)], a)
-            top = mr.support(loop, around, [[1.0, 0.0]], engine="exact").bound[0]
-            if top > np.nextafter(float(b), np.inf):
+            B = np.zeros((n, len(a)))
+            B[0] = floats(a)
+            loop = self._loop([(np.zeros((n, n)), B, np.zeros(n), None, None)], a)
+            if tops(loop, around, np.eye(n)[:1])[0] > np.nextafter(float(b), np.inf):
                 return False
         return True
 
@@ -504,13 +750,11 @@ class Oracle:
         if not holds(self._rows(-1), c):
             return not claim["holds"]
         h = [b - (b - dot(a, c)) * epsilon / (1 + epsilon) for a, b in self._rows(-1)]
-        corners = corners_of(list(zip(self.C, h)))
+        corners = corners_of(list(zip(self.C, h)), along=self.C)
         own = floats([max(dot(a, x) for x in corners) for a in self.C])
         if self.beyond_floats:
             return True
-        margin = (
-            mr.support(self.loop, mr.Polytope(floats(self.C), floats(h)), floats(self.C), engine="exact").value - own
-        ).min()
+        margin = (tops(self.loop, mr.Polytope(floats(self.C), floats(h)), floats(self.C)) - own).min()
         return abs(margin) <= UNDECIDED or (margin > 0) == claim["holds"]
 
     def theorem_1(self):
@@ -555,6 +799,11 @@ class Oracle:
     # -- parts --
 
     @cached_property
+    def _along(self):
+        """The directions that matter."""
+        return [*self.C, *self.system["state_set"]["H"]]
+
+    @cached_property
     def X(self):
         return polytope(self.system["state_set"])
 
@@ -583,7 +832,7 @@ class Oracle:
         key = self.world, repr(row)
         if key not in _LOOPS:
             m = len(modes[0][1][0])
-            everywhere = mr.Polytope(np.eye(2 + m)[:1], [1e6])
+            everywhere = mr.Polytope(np.eye(self.n + m)[:1], [1e6])
             U = mr.Polytope.box(*enclosing_inputs(self.network, mr.Polytope.box(*self.X.bounding_box())))
             if len(_LOOPS) > 20:
                 _LOOPS.clear()
@@ -599,7 +848,7 @@ class Oracle:
 
     def _corners(self, k):
         if k not in self.corners:
-            self.corners[k] = corners_of(self._rows(k))
+            self.corners[k] = corners_of(self._rows(k), along=self._along)
         return self.corners[k]
 
     def _inside(self, k, j):
@@ -632,29 +881,63 @@ class Oracle:
             return True
         C = floats(self.C)
         try:
-            bound = mr.support(self.loop, mr.Polytope(C, floats(self.sets[k])), C, engine="exact").bound
+            bound = tops(self.loop, mr.Polytope(C, floats(self.sets[k])), C)
         except ValueError:  # the engine wants at least one state on which a mode acts
             lower, upper = self.X.bounding_box()
-            x = self.rng.uniform(lower, upper, (2000, 2))
+            x = self.rng.uniform(lower, upper, (2000, self.n))
             z = np.hstack([x, self.network(x)])
             return not any((z @ region.H.T <= region.h).all(axis=1).any() for _, _, _, region, _ in self._modes)
         return is_below(bound, floats(self.sets[j]))
 
     @remembered
     def _has_successors(self, k):
-        """No state of R_k without a region: random ones in fractions, and areas in floats."""
+        """No state of R_k without a region: random ones, and all of them piece by piece of Phi, in rational numbers."""
         for x in self._states(k):
             z = [*x, *exact_input(self.network, x)]
             if not any(holds(rows_of(mode["region"]), z) for mode in self.system["modes"]):
                 return False
         if self.beyond_floats:
             return True
-        F = shapely.MultiPoint(floats(self._corners(k))).convex_hull
-        cells = [
-            shapely.MultiPoint([[float(Fraction(int(e.p), int(e.q))) for e in x] for x in cell.corners]).convex_hull
-            for cell in exact_cells.cells(self.loop)
-        ]
-        return F.difference(shapely.union_all([cell.buffer(ERROR) for cell in cells])).is_empty
+        regions = [rows_of(mode["region"]) for mode in self.system["modes"]]
+        try:
+            pieces = exact_cells.affine_pieces(self.network, self.X)
+        except CellLimitError:  # regions that cover R_k x U do
+            U = rows_of(self.system["input_set"])
+            none = [Fraction(0)]
+            domain = [([*a, *none * len(U[0][0])], b) for a, b in self._rows(k)]
+            return not uncovered([*domain, *(([*none * self.n, *a], b) for a, b in U)], regions)
+        rows = self._rows(k)
+        for piece in pieces:
+            own = [([Fraction(int(e)) for e in row[:-1]], -Fraction(int(row[-1]))) for row in piece.part.rows]
+            *output, last = piece.output.tolist()
+            u = [[Fraction(int(entry), int(last[-1])) for entry in row] for row in output]
+            if uncovered([*rows, *own], [[in_states(row, u) for row in region] for region in regions]):
+                return False
+        return True
+
+
+def in_states(row, u):
+    """The row (a, b) of (x, u) as one of x where u = (K, g) (x, 1)."""
+    a, b = row
+    n = len(u[0]) - 1
+    return tuple(e + dot(a[n:], column) for e, column in zip(a[:n], zip(*u))), b - dot(a[n:], [f[-1] for f in u])
+
+
+def uncovered(domain, regions):
+    """A point of a set that no region contains, or None; all of them rows (a, b) of fractions."""
+    cell = partition._Cell()
+    for a, b in domain:
+        cell = cell and cell.with_row(rational(tuple(a)), rational(b))
+    return None if cell is None else cell.without([[(rational(tuple(a)), rational(b)) for a, b in R] for R in regions])
+
+
+def tops(loop, F, V):
+    """h of R_1(F) along V, rounded up; attained values, less what they may be off, where there are too many cells."""
+    try:
+        return mr.support(loop, F, V, engine="exact").bound
+    except CellLimitError:
+        found = mr.support(loop, F, V).value
+        return found - ERROR * (1 + np.abs(found))
 
 
 _LOOPS = {}  # those that were built last, for mutations leave most of them alone
@@ -675,12 +958,13 @@ class World:
     """What is true of a content of few small numbers, by brute force in fractions; `verdict` for every claim.
 
     Phi is affine for every choice of a channel per neuron of its one hidden layer. Whatever the loop does to a set is
-    decided in the corners of the sets {x in the set, choice wins, (x, u) in the region, u in U}, all of them crossings
-    of two lines. A gap between them is as large as a face of all those lines.
+    decided in the corners of the sets {x in the set, choice wins, (x, u) in the region, u in U}, in each of which n
+    rows are tight. In the plane a gap between them is as large as a face of all those lines.
     """
 
     def __init__(self, content):
         self.content, self.claims, system = content, content["claims"], content["system"]
+        self.n = len(content["template"][0])
         self.sets = [[(fractions(a), Fraction(b)) for a, b in zip(content["template"], h)] for h in content["sets"]]
         self.X, self.U = exact_rows(system["state_set"]), exact_rows(system["input_set"])
         self.modes = [
@@ -707,12 +991,13 @@ class World:
         groups = [channels[i : i + layer["pool"]] for i in range(0, len(channels), layer["pool"])]
         for won in product(*groups):
             rows = [
-                ((other[0] - own[0], other[1] - own[1]), own[2] - other[2])
+                (tuple(map(Fraction.__sub__, other[:-1], own[:-1])), own[-1] - other[-1])
                 for own, group in zip(won, groups)
                 for other in group
             ]
+            n = self.n
             yield (
-                [(*(dot(row[:-1], [f[i] for f in won]) + row[-1] * (i == 2) for i in range(3)),) for row in output],
+                [(*(dot(row[:-1], [f[i] for f in won]) + row[-1] * (i == n) for i in range(n + 1)),) for row in output],
                 rows,
             )
 
@@ -720,12 +1005,8 @@ class World:
         """(mode, u, rows): where a mode acts on the set, with its affine input."""
         for u, wins in self.choices:
             for mode in self.modes:
-                limits = [*mode[2], *(((0, 0, *a), b) for a, b in self.U)]
-                inside = [
-                    (tuple(a[i] + dot(a[2:], [f[i] for f in u]) for i in range(2)), b - dot(a[2:], [f[2] for f in u]))
-                    for a, b in limits
-                ]
-                yield mode, u, [*rows, *self.X, *wins, *inside]
+                limits = [*mode[2], *(((*[Fraction(0)] * self.n, *a), b) for a, b in self.U)]
+                yield mode, u, [*rows, *self.X, *wins, *(in_states(row, u) for row in limits)]
 
     def _images(self, rows):
         """The corners of the image of a set, of which the image is in the hull, each piece by itself."""
@@ -739,6 +1020,8 @@ class World:
         """Between the corners of all lines, from left to right, every face has a point in one of these columns."""
         rows, ends = self.sets[0], self.corners[0]
         cells = [inside for _, _, inside in self._cells(rows)]
+        if self.n != 2:
+            return uncovered(rows, cells) is not None
         lines = {row for inside in cells for row in inside if any(row[0])}
         if len(ends) == 2:
             columns = [line_through(*ends)]
@@ -857,46 +1140,61 @@ def crossing(row, other):
 
 
 @cache
-def small_world(seed):
+def small_world(seed, n=2):
     """A World whose answers are kept."""
-    return World(small_content(seed))
+    return World(small_content(seed, n))
 
 
-def small_content(seed):
+def with_cases(content):
+    """A content with a proof by cases of its claims, as far as one is found."""
+    system, claim = content["system"], content["claims"]["criterion"]
+    modes = [
+        mr.Mode(*(floats(mode[name]) for name in "ABp"), polytope(mode["region"]), polytope(mode["disturbance"]))
+        for mode in system["modes"]
+    ]
+    X, network = polytope(system["state_set"]), mr.MaxoutNetwork.from_dict(content["network"])
+    with patch("mireach.systems.pwa._check_partition"):
+        loop = mr.ClosedLoop(mr.PWASystem(modes, X, mr.Polytope.box(*enclosing_inputs(network, X))), network)
+    prover = CaseProver(loop, floats(content["template"]), content)
+    terminal = SimpleNamespace(centre=floats(claim["centre"]), epsilon=claim["epsilon"]) if claim["holds"] else None
+    return {**content, "format": checker.WITH_CASES, "cases": prover.cases(floats(content["sets"]), terminal)}
+
+
+def small_content(seed, n=2):
     """A content for `World`: ties, jumps, overlaps, gaps, flat sets, sets that fit exactly or fail by one ulp."""
     rng = np.random.default_rng(seed)
 
     def draw(size, top, unit):
         return (rng.integers(-top, top + 1, size) / unit).tolist()
 
-    m, square = int(rng.integers(1, 3)), [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
-    hidden, inner = [], 2
+    m, square = int(rng.integers(1, 3)), np.vstack([np.eye(n), -np.eye(n)]).tolist()
+    hidden, inner = [], n
     if rng.random() < 0.7:
-        hidden, inner = [{"weight": draw((4, 2), 2, 1), "bias": draw(4, 1, 2), "pool": 2}], 2
+        hidden, inner = [{"weight": draw((4, n), 2, 1), "bias": draw(4, 1, 2), "pool": 2}], 2
     output = {"weight": draw((m, inner), 2, 4), "bias": draw(m, 1, 4)}
     limit = float(rng.choice([0.75, 8.0, 8.0, 8.0]))
     U = {"H": [[s * (i == j) for j in range(m)] for i in range(m) for s in (1.0, -1.0)], "h": [limit] * 2 * m}
     kind = rng.choice(["one", "two", "gap", "overlap", "three"])
-    a, b = draw(2, 1, 1) + draw(m, 1, 2), draw((), 2, 4)
+    a, b = draw(n, 1, 1) + draw(m, 1, 2), draw((), 2, 4)
     regions = [([a], [b]), ([[-e for e in a]], [-b - {"gap": 2.0**-20, "overlap": -0.25}.get(kind, 0.0)])]
     if kind == "one":
-        regions = [([[0.0] * (2 + m)], [0.0])]
+        regions = [([[0.0] * (n + m)], [0.0])]
     if kind == "three":
-        more = draw(2 + m, 1, 1)
+        more = draw(n + m, 1, 1)
         regions = [regions[0], *((regions[1][0] + [[s * e for e in more]], regions[1][1] + [0.0]) for s in (1.0, -1.0))]
     modes = []
     for H, h in regions:
-        r, middle = draw(2, 1, 16), draw(2, 1, 16)
-        D = [middle[0] + abs(r[0]), middle[1] + abs(r[1]), abs(r[0]) - middle[0], abs(r[1]) - middle[1]]
-        one = {"A": draw((2, 2), 3, 8), "B": draw((2, m), 1, 8), "p": draw(2, 1, 8), "region": {"H": H, "h": h}}
+        r, middle = draw(n, 1, 16), draw(n, 1, 16)
+        D = [abs(reach) + sign * at for sign in (1, -1) for reach, at in zip(r, middle)]
+        one = {"A": draw((n, n), 3, 8), "B": draw((n, m), 1, 8), "p": draw(n, 1, 8), "region": {"H": H, "h": h}}
         modes.append({**one, "disturbance": {"H": square, "h": D}})
-    template = square + [[1.0, 1.0], [-1.0, 1.0]] * bool(rng.integers(2))
-    F = [1.0] * 4 + [float(rng.choice([1.5, 2.0]))] * (len(template) - 4)
+    template = square + [[1.0] * n, [-1.0] + [1.0] * (n - 1)] * bool(rng.integers(2))
+    F = [1.0] * 2 * n + [float(rng.choice([1.5, 2.0]))] * (len(template) - 2 * n)
     if rng.random() < 0.1:
-        F[0], F[2] = 0.5, -0.5  # flat
+        F[0], F[n] = 0.5, -0.5  # flat
     scale = float(rng.choice([1.0, 0.25, 0.75, 3.0]))
     template, F = [[scale * entry for entry in row] for row in template], [scale * entry for entry in F]
-    X = {"H": square, "h": [float(rng.choice([1.0, 1.0, 1.0, 0.875, 2.0]))] * 4}
+    X = {"H": square, "h": [float(rng.choice([1.0, 1.0, 1.0, 0.875, 2.0]))] * 2 * n}
     content = {
         "format": "mireach-certificate/1",
         "system": {"modes": modes, "state_set": X, "input_set": U},
@@ -915,7 +1213,7 @@ def small_content(seed):
             i = int(rng.integers(len(template)))
             following[i] = float(np.nextafter(following[i], -np.inf))
         content["sets"].append(before if rng.random() < 0.1 else following)
-    centre = rng.choice([0.0, 0.125, 0.25, 1.0], 2, p=[0.6, 0.2, 0.1, 0.1]).tolist()
+    centre = rng.choice([0.0, 0.125, 0.25, 1.0], n, p=[0.6, 0.2, 0.1, 0.1]).tolist()
     content["claims"] |= {
         "sequence": {},
         "terminal_set": {"steps": steps if rng.random() < 0.9 else steps + int(rng.choice([-1, 1]))},

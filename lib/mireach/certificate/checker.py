@@ -751,19 +751,22 @@ def polytope(rows: Rows, where: str, clock: Budget) -> Polytope:
     return P
 
 
-def product(P: Polytope, Q: Polytope) -> Polytope:
+def product(P: Polytope, Q: Polytope, clock: Budget) -> Polytope:
     """{(x, u) : x in P, u in Q}."""
+    clock.hold(len(P) * bytes_of(Q) + len(Q) * bytes_of(P))
     shift = max(P.values(), default=0).bit_length()
-    return {
-        (x[0] * u[0], *(entry * u[0] for entry in x[1:]), *(entry * x[0] for entry in u[1:])): mask | other << shift
-        for x, mask in P.items()
-        for u, other in Q.items()
-    }
+    found = {}
+    for x, mask in P.items():
+        clock()
+        for u, other in Q.items():
+            both = x[0] * u[0], *(entry * u[0] for entry in x[1:]), *(entry * x[0] for entry in u[1:])
+            found[both] = mask | other << shift
+    return found
 
 
 def middle(P: Polytope) -> Row:
-    """The mean of the corners, which lies inside a polytope."""
-    return tuple(sum(entry) / len(P) for entry in zip(*map(point, P)))
+    """A point inside a polytope: the mean of the corners, with the weights W."""
+    return point(tuple(map(sum, zip(*P))))
 
 
 def uncovered(P: Polytope, regions: Iterable[Sequence[Form]], clock: Budget) -> Polytope:
@@ -776,12 +779,14 @@ def uncovered(P: Polytope, regions: Iterable[Sequence[Form]], clock: Budget) -> 
     bare = [P]
     for region in regions:
         following = []
-        clock.hold(sum(map(bytes_of, bare)))
+        held = 0
         for part in bare:
             for form in region:  # what lies beyond the first limit, beyond the second but not the first, ...
                 clock()
                 if any(at(form, x) > 0 for x in part):
                     following.append(clip(part, tuple(-entry for entry in form), clock, flat=False))
+                    held += bytes_of(following[-1])
+                    clock.hold(held)
                     part = clip(part, form, clock, flat=False)
         bare = [part for part in following if part]
     return bare[0] if bare else {}
@@ -807,6 +812,19 @@ def combine(row: Sequence[int], forms: Sequence[Form], unit: int) -> Form:
     weights = row[1:]
     constant, *linear = (sum(map(mul, weights, column)) for column in zip_longest(*forms, fillvalue=0))
     return (row[0] * unit + constant, *linear)
+
+
+def combined(
+    rows: Iterable[Sequence[int]], forms: Sequence[Form], unit: int, clock: Budget, held: int = 0
+) -> list[Form]:
+    """`combine` for each row; `held` are the bytes that others hold."""
+    found = []
+    for row in rows:
+        clock()
+        found.append(combine(row, forms, unit))
+        held += bytes_of(found[-1:])
+        clock.hold(held)
+    return found
 
 
 def winners(P: Polytope, channels: Sequence[Form], clock: Budget) -> Iterator[tuple[Polytope, Form]]:
@@ -839,8 +857,7 @@ def affine_pieces(network: Network, domain: Polytope, clock: Budget) -> list[Pie
         rows, own = over_one_unit(fractions)
         following, size = [], 0
         for P, forms, unit in pieces:
-            clock()
-            channels = [combine(row, forms, unit) for row in rows]
+            channels = combined(rows, forms, unit, clock, size)
             parts: list[Any] = [(P, [])]
             for start in range(0, len(channels), pool):
                 neuron = channels[start : start + pool]
@@ -858,7 +875,11 @@ def affine_pieces(network: Network, domain: Polytope, clock: Budget) -> list[Pie
                 clock.hold(size)
         pieces = following
     rows, own = over_one_unit(network.output)
-    return [(P, [combine(row, forms, unit) for row in rows], unit * own) for P, forms, unit in pieces]
+    found, size = [], 0
+    for P, forms, unit in pieces:
+        found.append((P, combined(rows, forms, unit, clock, size), unit * own))
+        size += bytes_of(P, found[-1][1])
+    return found
 
 
 @dataclass(frozen=True)
@@ -922,33 +943,38 @@ def case_of(network: Network, box: Grid, choices: Choices, clock: Budget) -> Cas
     forms = axes(len(box) - 1)
     limits: list[Limit] = []
     still_open: dict[tuple[int, int], int] = {}
+    size = 0
     for layer, (fractions, pool) in enumerate(network.hidden):
         rows, own = over_one_unit(fractions)
-        channels = [combine(row, forms, unit) for row in rows]
-        clock.hold(len(channels) * bytes_of(channels[:1]) + len(limits) * bytes_of(form for form, _ in limits[-1:]))
+        channels = combined(rows, forms, unit, clock, size)
         unit *= own
         forms = []
         for start in range(0, len(channels), pool):
-            clock()
+            known = len(limits)
             neuron = channels[start : start + pool]
             winner = choices.get((layer, start // pool))
             if winner is not None:
                 limits += [(ahead(form, neuron[winner]), unit) for form in neuron if form is not neuron[winner]]
             else:
-                leads = [max(highest(ahead(other, form), box) for other in neuron) for form in neuron]
+                leads = []
+                for form in neuron:
+                    clock()
+                    leads.append(max(highest(ahead(other, form), box) for other in neuron))
                 winner = leads.index(0) if 0 in leads else None
             if winner is not None:
                 forms.append(neuron[winner])
-                continue
-            y = (0,) * len(box) + (unit,)
-            still_open[layer, start // pool] = len(limits)
-            limits += open_limits(neuron, leads, y, unit, box[0][0])
-            low = max(-highest(ahead((), form), box) for form in neuron)
-            high = max(highest(form, box) for form in neuron)
-            box.append((low // unit, -(-high // unit)))
-            forms.append(y)
+            else:
+                y = (0,) * len(box) + (unit,)
+                still_open[layer, start // pool] = known
+                limits += open_limits(neuron, leads, y, unit, box[0][0])
+                low = max(-highest(ahead((), form), box) for form in neuron)
+                high = max(highest(form, box) for form in neuron)
+                box.append((low // unit, -(-high // unit)))
+                forms.append(y)
+            size += bytes_of(form for form, _ in limits[known:])
+            clock.hold(size)
     rows, own = over_one_unit(network.output)
-    outputs = [combine(row, forms, unit) for row in rows]
+    outputs = combined(rows, forms, unit, clock, size)
     return Case(box, limits, still_open, [*axes(network.inputs, unit * own), *outputs], unit * own)
 
 
@@ -1020,10 +1046,11 @@ class CaseCheck:
             case = case_of(self.certificate.network, self._box, choices, self._clock)
             limits = [whole((-b, *a)) for a, b in self._rows]
             for a, b in () if number is None else self.certificate.acting(self.certificate.modes[number]):
+                self._clock()
                 row, own = whole((-b, *a))
                 limits.append((combine(row, case.z, case.unit), own * case.unit))
             limits += case.limits
-            self._held += bytes_of((form for form, _ in limits), case.z)
+            self._held += bytes_of((form for form, _ in limits), case.z, case.box, choices)
             if self._held > MOST_MEMORY // 2:
                 self._known.clear()
                 self._held = 0
@@ -1049,16 +1076,21 @@ class CaseCheck:
         hidden = self.certificate.network.hidden
         objective, unit = self.objective(number, row)
         left: list[Choices] = [{}]
+        held = 0
         while left:
             self._clock()
             choices, node = left.pop(), next(nodes, ())
+            held -= bytes_of(choices)
             if len(node) == 2:
                 layer, neuron = node
                 if layer >= len(hidden) or neuron >= len(hidden[layer][0]) // hidden[layer][1]:
                     return False
                 if (layer, neuron) in choices:
                     return False
-                left += [{**choices, (layer, neuron): j} for j in reversed(range(hidden[layer][1]))]
+                for j in reversed(range(hidden[layer][1])):
+                    left.append({**choices, (layer, neuron): j})
+                    held += bytes_of(left[-1])
+                    self._clock.hold(held)
                 continue
             self.checked += 1
             case, limits = self.case(number, choices)
@@ -1304,10 +1336,13 @@ class Claims:
     def _disturbances(self) -> list[list[Row]]:
         """The corners of D of every mode, as points; a D without points would make every claim true."""
         found = []
+        size = 0
         for number, mode in enumerate(self.certificate.modes, start=1):
             D = polytope(mode.disturbance, f"the disturbance set of mode {number}", self._clock)
             if not D:
                 raise Malformed(f"the disturbance set of mode {number} is empty")
+            size += 4 * bytes_of(D)
+            self._clock.hold(size)
             found.append([point(d) for d in D])
         return found
 
@@ -1331,14 +1366,19 @@ class Claims:
         gap, size = None, 0
         modes = self.certificate.modes
         maps = [over_one_unit(mode.rows) for mode in modes]
-        regions = [[half_space(a, b) for a, b in self.certificate.acting(mode)] for mode in modes]
+        regions = []
+        for mode in modes:
+            self._clock()
+            regions.append([half_space(a, b) for a, b in self.certificate.acting(mode)])
+            size += bytes_of(regions[-1])
+            self._clock.hold(size)
         for piece, forms, unit in self._pieces:
             self._clock()
             P = clip_all(piece, F, self._clock)
             if not P:
                 continue
             z = [*axes(self.n, unit), *forms]  # (x, u)
-            limits = [[combine(row, z, unit) for row in region] for region in regions]
+            limits = [combined(region, z, unit, self._clock) for region in regions]
             for number, (rows, own) in enumerate(maps):
                 part = clip_all(P, limits[number], self._clock)
                 if part:
@@ -1361,7 +1401,7 @@ class Claims:
             return None
         U = polytope(self.certificate.input_set, "the input set", self._clock)
         regions = [[half_space(a, b) for a, b in mode.region] for mode in self.certificate.modes]
-        bare = uncovered(product(self._corners(0), U), regions, self._clock)
+        bare = uncovered(product(self._corners(0), U, self._clock), regions, self._clock)
         return unchecked(f"no region contains (x, u) = {show(middle(bare))}") if bare else self._missing("inputs")
 
     def _why_none(self, x: Row) -> str:
@@ -1390,8 +1430,13 @@ class Claims:
 
     def _support(self, P: Polytope, a: Row) -> Fraction:
         """max a x over a polytope."""
-        self._clock()
-        return max(dot(a, x) for x in map(point, P))
+        row, unit = whole((Fraction(0), *a))
+        best = Fraction(0)
+        for number, x in enumerate(P):
+            self._clock()
+            value = Fraction(at(row, x), unit * x[0])
+            best = max(best, value) if number else value
+        return best
 
     # -- by cells --
 
@@ -1497,7 +1542,7 @@ class Claims:
         """Whether x in {x : S} attains a x+ >= level in a mode, for row r of the template and some d."""
         d = (
             max(self._disturbances[number], key=lambda d: dot(self._C[r], d))
-            if number < len(self._disturbances)
+            if 0 <= number < len(self._disturbances)
             else ()
         )
         after = self._replay(self.last, number, x, d) if d and all(dot(a, x) <= b for a, b in S) else None
