@@ -650,7 +650,7 @@ def half_space(a: Row, b: Fraction) -> Form:
 
 def bytes_of(*lists: Iterable[Sequence[int]]) -> int:
     """Roughly the memory that corners or forms take."""
-    return sum(120 + sum(32 + entry.bit_length() // 8 for entry in row) for rows in lists for row in rows)
+    return sum([120 + 32 * len(row) + sum(map(int.bit_length, row)) // 8 for rows in lists for row in rows])
 
 
 def point(corner: Corner) -> Row:
@@ -808,10 +808,16 @@ def axes(n: int, unit: int = 1) -> list[Form]:
 
 
 def combine(row: Sequence[int], forms: Sequence[Form], unit: int) -> Form:
-    """The form b + w_1 f_1 + ... + w_q f_q of whole numbers (b, w) and forms over a unit."""
+    """The form b + w_1 f_1 + ... + w_q f_q of whole numbers (b, w) and forms over a unit; entries that lack are 0."""
+    return mixed(row, list(zip_longest(*forms, fillvalue=0)), unit)
+
+
+def mixed(row: Sequence[int], columns: Sequence[Sequence[int]], unit: int) -> Form:
+    """As `combine`, of the columns of the matrix with the forms as rows."""
     weights = row[1:]
-    constant, *linear = (sum(map(mul, weights, column)) for column in zip_longest(*forms, fillvalue=0))
-    return (row[0] * unit + constant, *linear)
+    entries = [sum(map(mul, weights, column)) for column in columns]
+    entries[0] += row[0] * unit
+    return tuple(entries)
 
 
 def combined(
@@ -819,9 +825,10 @@ def combined(
 ) -> list[Form]:
     """`combine` for each row; `held` are the bytes that others hold."""
     found = []
+    columns = list(zip_longest(*forms, fillvalue=0))
     for row in rows:
         clock()
-        found.append(combine(row, forms, unit))
+        found.append(mixed(row, columns, unit))
         held += bytes_of(found[-1:])
         clock.hold(held)
     return found
@@ -866,7 +873,7 @@ def affine_pieces(network: Network, domain: Polytope, clock: Budget) -> list[Pie
                 for old, won in parts:
                     for new, form in winners(old, neuron, clock):
                         split.append((new, [*won, form]))
-                        held += bytes_of(new, [form]) + 8 * len(won)
+                        held += bytes_of([form], () if new is old else new) + 8 * len(won)
                         clock.hold(size + held)
                 parts = split
             for part, won in parts:
