@@ -755,9 +755,9 @@ print(f"\nreplayed: {x} -> {paper_case.loop.step(x, d).round(6)}, and x2 should 
 # of 8 the changed certificate would have been accepted: that smaller set is RPI as well, and the checker proves it. The
 # checker judges only the content of a file.
 #
-# The shipped certificates are `data/pwa/certificate.json` and `data/double_integrator/certificate.json`. The second
-# contains the error set of the fit and Theorem 2. `python3 run.py verify FILE` checks them within seconds, on any
-# machine with Python, without installing anything.
+# Every case study has a certificate, `data/CASE/certificate.json`. That of `double_integrator` contains the error set
+# of the fit and Theorem 2. `python3 run.py verify FILE` checks them within seconds, on any machine with Python, without
+# installing anything. Notebook 14 shows certificates of three, four and six states.
 
 # %% [markdown]
 # ## What you saw

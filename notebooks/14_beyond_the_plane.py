@@ -24,12 +24,16 @@
 # - why a state can lie in every projection of a set, but not in the set;
 # - how the number of cells grows with $n$ and with the network, and when the MILP is the better choice;
 # - how the template decides whether a safe set is found;
-# - how *bound by a solver* differs from *proven*.
+# - how a certificate is proven for any number of states, and what a forged one is refused by.
 #
 # **What you need.** Notebooks 03, 04 and 06. "Run all" takes about a minute.
 
 # %%
+import json
+import tempfile
+from fractions import Fraction
 from math import comb
+from pathlib import Path
 from time import perf_counter
 
 import matplotlib.pyplot as plt
@@ -673,16 +677,71 @@ plt.show()
 # step. This is close to the slowest eigenvalue, 0.928. It is slightly slower because the boxes over-approximate every
 # step. The curves bend down at the end because the last set is not quite the limit.
 #
-# ## 8. Bound by a solver, proven, exact
+# ## 8. A certificate in space
 #
-# **A certificate without cells.** The checker of notebook 10 computes exact cells for two states only. A certificate of
-# a larger system contains the bounds that an engine computed. The checker compares these bounds exactly with the sets,
-# but it cannot derive them again. It reports this as *not checked*, and never as *proven*.
+# The certificates of notebook 10 work for any number of states. The checker needs Python's standard library only. It
+# computes the cells of the three tanks in whole numbers, and then decides every claim at their vertices. Brackets state
+# how each claim was proven and how much was looked at: 237 cells meet $\mathcal{F}_{\max}$.
 
 # %% tags=["nbval-check-output"]
-print(mr.certificate.verify(data_file("four_tanks", "certificate.json")))
+genuine = data_file("three_tanks", "certificate.json")
+print(mr.certificate.verify(genuine))
 
 # %% [markdown]
+# **A forged certificate.** A forger moves the facet $x_3 \le 10$ of $\mathcal{F}_{\max}$ to $x_3 \le 8.5$ and computes
+# a new digest. The sets look plausible. The checker finds a state of the forged set whose successor lies outside, and
+# prints it in fractions, so that anybody can replay the step.
+
+# %% tags=["nbval-check-output"]
+forged = json.loads(genuine.read_text())
+top = forged["template"].index([0.0, 0.0, 1.0])
+print(f"x3 <= {forged['sets'][0][top]:g} becomes x3 <= 8.5")
+forged["sets"][0][top] = 8.5
+folder = Path(tempfile.mkdtemp())
+(folder / "forged.json").write_text(json.dumps(forged))
+report = mr.certificate.verify(folder / "forged.json", ignore_digest=True)
+print(report["safe_set"])
+step = report["safe_set"].witness
+x, d, after = (np.array([float(Fraction(part)) for part in step[key]]) for key in ("state", "disturbance", "after"))
+print(f"\nreplayed: {x} -> {loop.step(x, d).round(6)}")
+
+# %%
+fig, ax = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
+false_set = mr.Polytope(forged["template"], forged["sets"][0])
+plotting.draw_set(
+    ax, false_set.project([0, 2]), edgecolor=GREEN, facecolor="none", label=r"forged $\mathcal{F}_{\max}$"
+)
+ax.plot(x[0], x[2], "o", color=RED, markersize=4)
+ax.annotate("", after[[0, 2]], x[[0, 2]], arrowprops={"arrowstyle": "->", "color": RED})
+ax.plot([], [], color=RED, marker="o", markersize=4, label="a step out of it")
+ax.set(xlim=(3.5, 5.6), ylim=(8, 8.9), xlabel="$x_1$ (cm)", ylabel="$x_3$ (cm)")
+ax.legend(frameon=False)
+plt.show()
+
+# %% [markdown]
+# **What to see.** A corner of the forged set, projected onto $(x_1, x_3)$. The step starts beside the corner and ends
+# above the facet that the forger moved.
+#
+# **A proof without cells.** A network with many neurons and six states has too many cells. Its certificate then holds a
+# *proof by cases*. It is the tree of a branch and bound for each facet: in each case the winning channels of some
+# neurons are fixed, the others are relaxed as in a MILP, and a linear program bounds the image. By weak duality any
+# non-negative multipliers of its rows give an upper bound. The file has these multipliers as short whole numbers. The
+# checker derives the rows itself and only adds up; it does not solve a linear program. `proof="cases"` asks for it:
+
+# %% tags=["nbval-check-output"]
+four_terminal = mr.terminal_set(four.loop, four_safe, four.directions, four.epsilon)
+made = mr.certificate.write(folder / "four.json", four.loop, four_safe, four_terminal, proof="cases")
+print(made.report)
+for node in made.content["cases"]["images"][0]["rows"][0][:3]:
+    print(node)
+
+# %% [markdown]
+# The last lines are the first nodes of the tree for the first facet of $\mathcal{F}_{\max}$. A node with two entries
+# (layer, neuron) splits a case by the channels of this neuron. In any other node, the first entry multiplies the row of
+# the image, and pairs of a limit's number and its multiplier follow. If you change a multiplier and the sum no longer
+# proves the row, the checker says *not checked*. No change of a proof can make a false claim *proven*. The shipped
+# certificate of the `quadrotor`, with six states, is of this kind: 4,750 cases, checked in about ten seconds.
+#
 # **The verdicts of the package.** Each result states in `settled` what its verdict rests on: *exact arithmetic*,
 # *rounding counted* (the bounds include every rounding error), or only the word of a solver. `mr.Exact` does not round
 # at all.
@@ -718,7 +777,8 @@ for k in (1, 2):
 # - The number of cells grows roughly like the $n$-th power of the number of neurons. Use the cells if one loop is
 #   queried many times, and the MILP if there are too many cells.
 # - *No safe set found* is a statement about the template. One row in the right direction can be enough.
-# - A certificate distinguishes bounds of a solver from proofs.
+# - A certificate is proven in whole numbers, by cells or by cases, for any number of states. A forged one is refused,
+#   with a step that leaves the set.
 #
 # ## On your own
 #
@@ -727,8 +787,8 @@ for k in (1, 2):
 # - What is the largest disturbance of the three tanks for which `tanks.safe_directions` finds a safe set? Use
 #   `loop.with_disturbance(...)` and bisection. Does `mr.octahedral_directions(3)` find one for a larger disturbance?
 # - Compute the cells of `random_loop(6, 8)`. How many vertices does a cell have on average? Compare with $2^6$.
-# - Forge some bounds in the certificate of the four tanks, and adapt the digest. What can the checker detect, and what
-#   not?
+# - Forge the certificate of the four tanks: change a weight of the network, a set, a multiplier. Which changes does the
+#   checker accept, and why is it right each time?
 #
 # ## Further reading
 #

@@ -85,7 +85,8 @@ def test_every_set_is_proven_exactly_and_the_certificate_written_is_the_one_ship
 def test_every_set_of_the_tanks_is_proven_exactly(report, name):
     case, loop = report["cases"][name], mr.case_study(name).loop
     assert len(case["proven_exactly"]) == 6 and all(case["proven_exactly"].values())
-    assert case["maximal_safe_set"] is None and case["claims"] is None and case["paper"] == {}
+    assert case["maximal_safe_set"] is None and case["paper"] == {}
+    assert {claim["verdict"] for claim in case["claims"].values()} == {"proven"} and len(case["claims"]) == 6
     counts = case["trajectories"]
     assert counts["simulated"] == counts["inside_safe_set"] == counts["entered_terminal_set"] == 198
     directions = case["exact_supports"]["directions"]

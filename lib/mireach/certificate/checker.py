@@ -76,10 +76,9 @@ VERDICTS = ("proven", "bounded", "not proven")  # what a certificate says itself
 KINDS = {  # of proof, by what is counted in it
     "pieces": "cells",
     "cells": "cells",
-    "parts": "cells",
     "cases": "weak duality",
     "states": "replay",
-    "corners": "vertices",
+    "vertices": "vertices",
     "boxes": "polynomial bounds",
 }
 
@@ -170,7 +169,7 @@ class Result:
 
     def __str__(self) -> str:
         work = ", ".join(f"{count} {what}" for what, count in self.work.items())
-        return f"{self.claim:<13} {self.verdict:<12} {self.reason}" + (f" [{self.kind}: {work}]" if work else "")
+        return f"{self.claim:<13} {self.verdict:<12} {self.reason}" + (f" [by {self.kind}: {work}]" if work else "")
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it."""
@@ -1250,7 +1249,7 @@ class Claims:
         c, R = claim["centre"], self._corners(self.last)
         if not R:
             return refuted("the terminal set is empty")
-        self._work["corners"] += len(R)
+        self._work["vertices"] += len(R)
         sizes = [self._support(R, a) for a, _ in self.sets[-2]]
         apart = [(b - dot(a, c), size - dot(a, c)) for (a, b), size in zip(self.sets[-2], sizes)]
         alpha = None
@@ -1396,8 +1395,7 @@ class Claims:
         With cases, Phi is in U, and then regions that cover F_max x U are enough.
         """
         if self.certificate.cases is None:
-            cells, gap = self._cells_and_gap
-            self._work["cells"] += len(cells)
+            _, gap = self._cells_and_gap
             if gap:
                 return refuted(f"x = {show(gap)} lies in F_max and has no successor: {self._why_none(gap)}", state(gap))
             return None
@@ -1491,7 +1489,7 @@ class Claims:
             found = self._by_cases(cases.images.get((k, j), ()), k, j)
             return found and (self._claimed_step(k, j, claim) or found)
         for number, P in self._parts(k):
-            self._work["parts"] += 1
+            self._work["cells"] += 1
             for r, (a, b) in enumerate(self.sets[j]):
                 self._clock()
                 excess = self._excess(r, b, number)
@@ -1505,7 +1503,7 @@ class Claims:
         forms = [half_space(*row) for row in S]
         for number, P in self._parts(self.last):
             self._clock()
-            self._work["parts"] += 1
+            self._work["cells"] += 1
             excess = self._excess(r, level, number)
             if any(at(excess, x) >= 0 for x in P):
                 if any(at(excess, x) >= 0 for x in clip_all(P, forms, self._clock)):
