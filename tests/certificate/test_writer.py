@@ -261,23 +261,45 @@ def test_sets_that_the_milp_found_in_the_plane_are_proven_exactly(seed):
     assert "bounds" not in made.content and not false_claims(json.dumps(made.content), made.report)
 
 
-def test_more_than_two_states_carry_bounds_that_nobody_calls_proven(tmp_path, capsys):
-    loop, safe = small_loop(0, n=3, cuts=1, layers=1)
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_both_kinds_of_proof_are_written_and_say_the_same(n, tmp_path, capsys):
+    loop, safe = small_loop(n, n=n, cuts=1, layers=1)
     terminal = mr.terminal_set(loop, safe, max_steps=2)
-    assert certificate.make(loop, safe, terminal).content["bounds"]["solver"] == "cells"
-    made = certificate.write(tmp_path / "it.json", loop, safe, terminal, engine="milp")
-    assert set(verdicts(made).values()) == {"not checked"}
-    offsets = np.array(made.content["bounds"]["offsets"])
-    sets = np.array(made.content["sets"])
-    assert made.content["bounds"]["solver"].startswith("HiGHS") and offsets.shape == sets.shape
-    assert (offsets[:-1] <= sets[1:]).all() and (offsets[0] <= sets[0]).all() and (offsets[-1] <= sets[-1]).all()
-    assert main(["verify", str(tmp_path / "it.json")]) == 1
+    by_cells = certificate.make(loop, safe, terminal, proof="cells")
+    by_cases = certificate.write(tmp_path / "it.json", loop, safe, terminal, proof="cases")
+    assert certificate.make(loop, safe, terminal).content == by_cells.content  # there are few cells
+    assert "cases" not in by_cells.content and by_cells.content["format"] == checker.FORMAT
+    assert by_cases.content["format"] == checker.WITH_CASES and by_cases.content["cases"].keys() == {
+        "inputs",
+        "images",
+        "attained",
+    }
+    for name in ("inputs", "safe_set", "sequence", "terminal_set"):
+        assert by_cells.report[name].verdict == by_cases.report[name].verdict == "proven"
+        assert (by_cells.report[name].kind, by_cases.report[name].kind) == (
+            "cells",
+            "weak duality",
+        ) or name == "safe_set"
+    assert 0 <= by_cells.inflation <= by_cases.inflation < 1e-9
+    for made in (by_cells, by_cases):
+        assert not false_claims(json.dumps(made.content), made.report)
+    main(["verify", str(tmp_path / "it.json")])
     words = capsys.readouterr().out
-    assert " proven " not in words and "not checked  bound by HiGHS" in words
-    assert {claim["verdict"] for claim in made.content["claims"].values()} == {"bounded"}
-    content = {**made.content, "bounds": {"solver": "HiGHS", "offsets": (offsets + 1).tolist()}}
-    report = checker.check(checker.parse(json.dumps(content)))
-    assert "refuted" in {result.verdict for result in report.results}
+    assert "as written" in words and "weak duality" in words
+    report = certificate.verify(tmp_path / "it.json")
+    assert [one.verdict for one in report.results] == [one.verdict for one in by_cases.report.results]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_sets_that_are_too_small_have_a_step_in_a_certificate_by_cases(n):
+    loop = affine_loop(0.5 * np.eye(n), mr.Polytope.box([-0.3] * n, [0.3] * n))
+    safe = mr.safe_set(loop, mr.box_directions(n))
+    made = certificate.make(loop, with_set(safe, np.full(2 * n, 0.5)), proof="cases")
+    claim = made.content["claims"]["safe_set"]
+    assert made.report["safe_set"].verdict == "refuted" and claim["verdict"] == "not proven"
+    x, d, after = ([Fraction(value) for value in claim["witness"][key]] for key in ("state", "disturbance", "after"))
+    assert all(abs(entry) <= Fraction(0.5) for entry in x) and max(map(abs, after)) > Fraction(0.5)
+    assert after == [entry / 2 + e for entry, e in zip(x, d)] and all(abs(e) <= Fraction(0.3) for e in d)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -123,7 +123,7 @@ class CaseProver:
                 if one.state is not None and one.mode is not None:
                     step = farthest_step(self._loop, Polytope(self._C, sets[k]), self._C[r], one.state, one.mode)
                 if step is not None and step.value > binary(sets[j][r]):
-                    yield claim, step.escape(self._loop).to_dict()
+                    yield claim, {**step.escape(self._loop).to_dict(), "mode": step.mode + 1}
                     break
 
     def _image(self, h: Array, wanted: Array) -> ImageProof:

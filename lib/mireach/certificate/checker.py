@@ -765,8 +765,9 @@ def product(P: Polytope, Q: Polytope, clock: Budget) -> Polytope:
 
 
 def middle(P: Polytope) -> Row:
-    """A point inside a polytope: the mean of the corners, with the weights W."""
-    return point(tuple(map(sum, zip(*P))))
+    """A point inside a polytope: a mean of all corners, whose weights differ by less than a factor of two."""
+    most = max(x[0] for x in P)
+    return point(tuple(map(sum, zip(*([most // x[0] * entry for entry in x] for x in P)))))
 
 
 def uncovered(P: Polytope, regions: Iterable[Sequence[Form]], clock: Budget) -> Polytope:
