@@ -324,17 +324,6 @@ plt.show()
 
 
 # %%
-def in_space(draw):
-    """The same drawing for the step viewer, on axes of R^3."""
-
-    def on_new_axes(ax, k):
-        figure = ax.figure
-        ax.remove()
-        draw(figure.add_subplot(projection="3d"), k)
-
-    return on_new_axes
-
-
 def draw_terminal_step(ax, k):
     """R_k-bar over its predecessors; later steps at a larger scale."""
     first = 0 if k < 12 else 12
@@ -342,10 +331,10 @@ def draw_terminal_step(ax, k):
     ax.set_title(rf"$\overline{{\mathcal{{R}}}}_{{{k}}}$")
 
 
-step_viewer(in_space(lambda ax, k: plotting.plot_step(ax, safe.history, k)), len(safe.history))
+step_viewer(lambda ax, k: plotting.plot_step(ax, safe.history, k), len(safe.history), dimension=3)
 
 # %%
-step_viewer(in_space(draw_terminal_step), len(terminal.history))
+step_viewer(draw_terminal_step, len(terminal.history), dimension=3)
 
 # %% [markdown]
 # ### Trajectories

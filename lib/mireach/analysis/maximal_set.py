@@ -16,7 +16,7 @@ import shapely
 from shapely.errors import GEOSException
 
 from ..arithmetic.scaling import times
-from ..checks import positive_number, require_kind, whole_number
+from ..checks import positive_number, require_bools, require_kind, whole_number
 from ..engines import exact_plane
 from ..engines.base import EXACT, Escape
 from ..errors import CellLimitError, RegionError
@@ -174,6 +174,7 @@ def maximal_safe_set(
     On a boundary of regions every mode counts. A single line may therefore be lost; with the slack a thin strip around
     it is removed. The maximal set itself need not be closed; `set` and `outer` are closed.
     """
+    require_bools(prove=prove)
     slack = positive_number(slack, "slack")
     max_iterations = whole_number(max_iterations, "max_iterations", 1)
     if slack < LEAST_SLACK:

@@ -6,7 +6,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from ..arithmetic.rational import nearest
-from ..checks import require_kind, whole_number
+from ..checks import require_bools, require_kind, whole_number
 from ..engines.base import EXACT, SOLVER, Engine, Support, Witness
 from ..engines.registry import engine_for
 from ..results import Result, Verdict
@@ -116,6 +116,7 @@ def safe_set(
     this: R_1(F_k) in F_k is checked by itself. For the same k, F_k lies in that of eq. (21), Fk, so the iteration
     with `cut_first` ends no later.
     """
+    require_bools(cut_first=cut_first, progress=progress)
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
     V = with_rows(template(loop, C), loop.system.state_set.H)
     engine = engine_for(loop, engine)
