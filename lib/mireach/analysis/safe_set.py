@@ -137,7 +137,7 @@ def safe_set(
                 return _unknown(history, f"R1(F{k}) lies in X by bounds that prove nothing: {believed(engine)}")
             if found.holds.all():
                 return _safe(found, history, V, engine, tol, cut_first or not trusted)
-            image, smaller = found.found, np.minimum(found.bound, h)
+            image, smaller = found.image, np.minimum(found.bound, h)
             if cut_first:
                 smaller = np.minimum(cut_support(loop, history[-1], V, engine), h)
             trusted &= image.rests_on != SOLVER
@@ -179,7 +179,7 @@ def _safe(
     if found.is_believed_only:
         return _unknown(history, f"R1(F{k}) lies in F{k} by bounds that prove nothing: {believed(engine)}")
     if not found.holds.all():
-        rests = found.found.rests_on
+        rests = found.image.rests_on
         reason = f"R1(F{k}) lies in X, but not in F{k}: a bound of {engine.name} was wrong ({rests})"
         return _unknown(history, reason)
     reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
@@ -199,7 +199,7 @@ def _leaves(found: Comparison, k: int, engine: Engine) -> tuple[str, Witness | N
     worst = found.worst
     if found.bound[worst] == np.inf:
         return f"the engine {engine.name} has no bound of R1(F{k}) along row {worst + 1} of the template", None, False
-    seen = found.found.witness[worst]
+    seen = found.image.witness[worst]
     return f"R1(F{k}) leaves X by {(found.bound - limit)[worst]:.3g}: {seen}", seen, False
 
 
@@ -213,7 +213,7 @@ def _stagnation(found: Comparison, h: Array, smaller: Array, k: int) -> tuple[bo
     if not (smaller >= h).all():
         apart = ((h - smaller) * found.weights).max()
         return False, f"F{k + 1} = F{k} to within {apart:.1g} of the size of X"
-    if not is_attained(found.loop, found.found, found.V, h):
+    if not is_attained(found.loop, found.image, found.V, h):
         return False, f"F{k + 1} = F{k} by bounds that may be loose, as no values attain them"
     return True, f"F{k + 1} = F{k}"
 

@@ -151,7 +151,7 @@ def terminal_set(
     c = centre_point(loop, centre)
     V = with_rows(template(loop, C), F.H)
     found = require_rpi(loop, F, V, engine, tol)
-    image = found.found
+    image = found.image
     after = found.bound
     settled = found.settled
     h, history = F.bound(V), [F]
