@@ -176,11 +176,7 @@ def terminal_set(
     if criterion:
         reason = f"eq. (25), TerminationFmin, holds at k = {k}"
     elif stagnant:
-        rest = f"R{k} = R{k - 1}{'' if same else ' to within what the engine resolves'}"
-        reason = f"stagnation: {rest}, but eq. (25), TerminationFmin, about {c.tolist()} fails"
-        reason += ", and always will" if constant else ""
-        if isinstance(centre, str) and centre == "origin":
-            reason += '; try centre="equilibrium"'
+        reason = _stagnation(k, c, same, constant, isinstance(centre, str) and centre == "origin")
     else:
         reason = f"max_steps = {max_steps} came first"
     alpha = alphas[-1]
@@ -199,6 +195,14 @@ def terminal_set(
         alphas=np.array(alphas),
         settled=settled,
     )
+
+
+def _stagnation(k: int, c: Array, same: bool, constant: bool, about_origin: bool) -> str:
+    """Why the iteration ended at R_k = R_(k-1), although the criterion about c fails."""
+    rest = f"R{k} = R{k - 1}{'' if same else ' to within what the engine resolves'}"
+    reason = f"stagnation: {rest}, but eq. (25), TerminationFmin, about {c.tolist()} fails"
+    reason += ", and always will" if constant else ""
+    return reason + '; try centre="equilibrium"' if about_origin else reason
 
 
 def _is_near_limit(
