@@ -864,7 +864,7 @@ def test_a_proof_by_cases_is_followed_node_by_node():
         [[0, 1], *ABS[1:]],  # neurons that there are not
         [[1, 0], *ABS[1:]],
         [[0, 1e300], *ABS[1:]],
-        [[0, 0], [1, 9, 1], [1, 2, 1]],  # limits that there are not
+        [[0, 0], [1, 5, 1], [1, 2, 1]],  # limits that there are not
         [[0, 0], [1, 1e300, 1], [1, 2, 1]],
         [[0, 0], [], [1, 2, 1]],  # nodes of an even length
         [[0, 0], [1, 0, 1, 0], [1, 2, 1]],
@@ -917,6 +917,31 @@ def test_cases_of_a_mode_know_its_region_and_u():
     value["system"]["state_set"] = box(2.0)  # F_max is a half of X: the box of F_max counts, not that of X
     value["system"]["input_set"]["h"] = [2.0, 2.0]
     assert verdict(by_cases(value, inputs, [(0, 0, [[tree["x1"], [1]], *[[[1], [1]]] * 3])])) == "proven"
+
+
+def test_every_mode_has_a_region_of_its_own_in_a_proof_by_cases():
+    """x+ = x + (1, 0) where x1 <= 0, which row 5 says, the first of the region."""
+    left = mode(A=((1.0, 0.0), (0.0, 0.0)), p=(1.0, 0.0), region=((1.0, 0.0, 0.0), 0.0))
+    anywhere = {**left, "region": mode()["region"]}
+    tree, rest = [1, 4, 1], [[[1], [1]]] * 3
+    assert verdict(by_cases(content(mode(), left), [ONE, ONE], [(0, 0, [[[1], tree], *rest])])) == "proven"
+    assert verdict(by_cases(content(left, anywhere), [ONE, ONE], [(0, 0, [[tree, tree], *rest])])) == "not checked"
+
+
+def test_a_proof_by_cases_is_about_one_set_after_the_other():
+    """The last set is larger than the one before along x2, and not RPI for that."""
+    value = content(mode(A=((0.0, 0.9), (0.9, 0.0))), later=[(0.9,) * 4, (0.82, 1.0, 0.82, 1.0)])
+    images = [(k, j, [ONE] * 4) for k, j in ((0, 0), (0, 1), (1, 2), (2, 2))]
+    found = check(by_cases(value, [ONE, ONE], images))
+    assert found["sequence"].verdict == "proven" and found["terminal_set"].verdict == "not checked"
+
+
+def test_only_rows_of_one_coordinate_cut_the_box_of_a_proof_by_cases():
+    """x1 - x2 <= 0 does not limit x1; x+ = x + (1/2, 0) leaves the square."""
+    value = content(mode(A=((1.0, 0.0), (0.0, 1.0)), p=(0.5, 0.0)), F=(1.0, 1.0, 1.0, 1.0, 0.0))
+    value["template"] = [*SQUARE, [1.0, -1.0]]
+    found = check(by_cases(value, [ONE, ONE], [(0, 0, [ONE] * 5)]))["safe_set"]
+    assert found.verdict == "not checked" and "row 1 of F_max" in found.reason
 
 
 def test_the_states_that_attain_the_criterion_are_replayed():
