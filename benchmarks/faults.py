@@ -250,14 +250,14 @@ FAULTS = (
         "invariance",
         "analysis/safe_set.py",
         "safe_set takes attained values for the next set",
-        "image, smaller = found.found, np.minimum(found.bound, h)",
-        "image, smaller = found.found, np.minimum(found.found.value, h)",
+        "image, smaller = found.image, np.minimum(found.bound, h)",
+        "image, smaller = found.image, np.minimum(found.image.value, h)",
     ),
     Fault(
         "own engines",
         "analysis/safe_set.py",
         "loose bounds refute",
-        "if not is_attained(found.loop, found.found, found.V, h):",
+        "if not is_attained(found.loop, found.image, found.V, h):",
         "if False:",
     ),
     Fault(

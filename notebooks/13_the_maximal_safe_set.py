@@ -157,7 +157,7 @@ for name, region in {"the set": S, "with a bite of the corner": S | corner}.item
     print(f"{name}: {check.verdict}; {check.reason}")
 
 # %%
-step = check.witness
+step = check.witness.exact
 after = steps.successor(cases["pwa"].loop, step.state, step.mode, step.disturbance)
 print("replayed in fractions, to the last digit:", after == step.after)
 print("x1 =", str(step.state[0])[:60], "...")

@@ -324,17 +324,6 @@ plt.show()
 
 
 # %%
-def in_space(draw):
-    """The same drawing for the step viewer, on axes of R^3."""
-
-    def on_new_axes(ax, k):
-        figure = ax.figure
-        ax.remove()
-        draw(figure.add_subplot(projection="3d"), k)
-
-    return on_new_axes
-
-
 def draw_terminal_step(ax, k):
     """R_k-bar over its predecessors; later steps at a larger scale."""
     first = 0 if k < 12 else 12
@@ -342,10 +331,10 @@ def draw_terminal_step(ax, k):
     ax.set_title(rf"$\overline{{\mathcal{{R}}}}_{{{k}}}$")
 
 
-step_viewer(in_space(lambda ax, k: plotting.plot_step(ax, safe.history, k)), len(safe.history))
+step_viewer(lambda ax, k: plotting.plot_step(ax, safe.history, k), len(safe.history), dimension=3)
 
 # %%
-step_viewer(in_space(draw_terminal_step), len(terminal.history))
+step_viewer(draw_terminal_step, len(terminal.history), dimension=3)
 
 # %% [markdown]
 # ### Trajectories
@@ -688,9 +677,9 @@ genuine = data_file("three_tanks", "certificate.json")
 print(mr.certificate.verify(genuine))
 
 # %% [markdown]
-# **A forged certificate.** A forger moves the facet $x_3 \le 10$ of $\mathcal{F}_{\max}$ to $x_3 \le 8.5$ and computes
-# a new digest. The sets look plausible. The checker finds a state of the forged set whose successor lies outside, and
-# prints it in fractions, so that anybody can replay the step.
+# **A forged certificate.** A forger moves the facet $x_3 \le 10$ of $\mathcal{F}_{\max}$ to $x_3 \le 8.5$. The sets
+# look plausible, and a new digest is soon computed (`ignore_digest` stands for that). The checker finds a state of the
+# forged set whose successor lies outside. It returns the step in fractions, so that anybody can replay it.
 
 # %% tags=["nbval-check-output"]
 forged = json.loads(genuine.read_text())
@@ -728,7 +717,7 @@ plt.show()
 # non-negative multipliers of its rows give an upper bound. The file has these multipliers as short whole numbers. The
 # checker derives the rows itself and only adds up; it does not solve a linear program. `proof="cases"` asks for it:
 
-# %% tags=["nbval-check-output"]
+# %%
 four_terminal = mr.terminal_set(four.loop, four_safe, four.directions, four.epsilon)
 made = mr.certificate.write(folder / "four.json", four.loop, four_safe, four_terminal, proof="cases")
 print(made.report)

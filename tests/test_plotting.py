@@ -190,3 +190,15 @@ def test_planes_show_projections_or_sections_with_the_coordinates_that_they_fix(
     widths = [np.ptp(patch.get_xy()[:, 0]) for patch in ax.patches]
     assert widths == pytest.approx([3, 1])  # the last set has no point with x_2 = 1.5
     assert ax.get_legend_handles_labels()[1] == [r"$\mathcal{F}_{0}$", r"$\mathcal{F}_{1}$"]
+
+
+def test_histories_without_a_set_to_draw_are_refused_and_empty_sets_left_out():
+    empty, box = mr.Polytope([[1.0, 0], [-1, 0]], [-1, -1]), mr.Polytope.box([0, 0], [1, 1])
+    _, ax = plotting.new_figure((3, 3))
+    for history in ([], [empty]):
+        with pytest.raises(ValueError, match="empty"):
+            plotting.draw_history(ax, history)
+        with pytest.raises(ValueError, match="empty"):
+            plotting.plot_planes([ax], history)
+    plotting.draw_history(ax, [empty, box])
+    assert ax.get_xlim()[1] >= 1

@@ -59,6 +59,13 @@ def positive_number(value: Any, name: str) -> float:
     return number
 
 
+def require_bools(**values: object) -> None:
+    """Raise TypeError unless all arguments are True or False; the first other one is named."""
+    for name, value in values.items():
+        if not isinstance(value, (bool, np.bool_)):
+            raise TypeError(f"{name} must be True or False; got {type(value).__name__} {value!r:.60}")
+
+
 def require_kind(value: object, kind: type | tuple[type, ...], name: str) -> None:
     """Raise TypeError unless `value` is an instance of `kind`, or of one of several; both are named."""
     if not isinstance(value, kind):

@@ -467,6 +467,11 @@ def draw_history(
     name : str
         Of the sets, in mathtext.
 
+    Raises
+    ------
+    ValueError
+        If there is no set, or none that is not empty. Empty ones among others are left out.
+
     See Also
     --------
     plot_history : one panel per set. plot_planes : sets of more dimensions.
@@ -478,7 +483,7 @@ def draw_history(
     >>> ax.get_legend_handles_labels()[1]
     ['$\\mathcal{F}_{0}$', '$\\mathcal{F}_{1}$', '$\\mathcal{F}_{2}$']
     """
-    chosen = _spread(history, SHOWN, 2) if chosen is None else chosen
+    chosen = _steps(history, chosen)
     _draw_nested(ax, {k: history[k] for k in chosen}, name)
     label_axes(ax, history[chosen[0]])
 
@@ -509,6 +514,11 @@ def plot_planes(
     paths : array (steps + 1, n) or (N, steps + 1, n), optional
         Trajectories, projected.
 
+    Raises
+    ------
+    ValueError
+        As `draw_history`.
+
     See Also
     --------
     Polytope.project, Polytope.section : the sets that are drawn.
@@ -527,8 +537,8 @@ def plot_planes(
     of the set; one inside of all projections may still lie outside. A section holds only states with the other
     coordinates of `at`; trajectories are not confined to it.
     """
+    chosen = _steps(history, chosen)
     axes, n = np.ravel(axes), history[0].dimension
-    chosen = _spread(history, SHOWN, 2) if chosen is None else chosen
     pairs = [*(combinations(range(n), 2) if pairs is None else pairs)]
     for ax, pair in zip(axes, pairs):
         sets = {k: history[k].project(pair) if at is None else history[k].section(pair, at) for k in chosen}
@@ -610,6 +620,16 @@ def _spread(history: Sequence[Any], most: int, power: int = 1) -> list[int]:
     """At most `most` steps of a history from the first to the last, the gaps growing with the power."""
     spread = np.linspace(0, 1, min(most, len(history))) ** power * (len(history) - 1)
     return [int(k) for k in np.unique(np.maximum(spread.round(), np.arange(len(spread))))]
+
+
+def _steps(history: Sequence[Polytope], chosen: Sequence[int] | None) -> list[int]:
+    """The chosen steps of a history, or up to SHOWN of them; those of empty sets are left out."""
+    if not len(history):
+        raise ValueError("history is empty; give at least one set")
+    found = [k for k in (_spread(history, SHOWN, 2) if chosen is None else chosen) if not history[k].is_empty]
+    if not found:
+        raise ValueError("all sets to be drawn are empty")
+    return found
 
 
 def _draw_nested(ax: Axes, sets: Mapping[int, Polytope], name: str) -> None:

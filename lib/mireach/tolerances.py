@@ -22,6 +22,7 @@ TIE = 2.0**-40  # a vertex this close to the hyperplane that cuts its cell lies 
 TOUCH = 1e-11  # closed sets, or vertices, that come this close touch
 BOUND_GRID = 2.0**-36  # bounds of the cells are rounded up to multiples of this, in the units of the loop
 CLOSE_BOUND = 2.0**-34  # a bound over a part of a cell further above its vertices is computed again in fractions
+THIN_IMAGE = 2.0**-12  # the image of a cell that is thinner than this share of its length may be loose
 FLAT_IMAGE = 2.0**-40  # the image of a cell is flat along an axis along which it is thinner
 CLOSING = 2.0**-36  # least widening of an image by `exact_reach` and `attractor`
 OPPOSITE_ROWS = 4e-15  # rows whose angle has a smaller sine are opposite up to rounding, as those of a template are

@@ -624,3 +624,12 @@ def test_a_set_that_fits_without_any_margin_is_proven_and_one_rounding_more_is_r
     assert fits.verdict == "proven" and (fits.margin >= 0).all() and "to within" not in fits.settled
     leaves = check_rpi(affine_loop((1 + 2.0**-52) * np.eye(n), limits=2.0), F)
     assert leaves.verdict == "refuted" and max(map(abs, leaves.escape.after)) == 1 + Fraction(2) ** -52
+
+
+def test_options_must_be_true_or_false():
+    loop = mr.case_study("pwa").loop
+    for option in ({"cut_first": "no"}, {"progress": 1}):
+        with pytest.raises(TypeError, match="must be True or False"):
+            mr.safe_set(loop, **option)
+    with pytest.raises(TypeError, match="prove must be True or False"):
+        mr.maximal_safe_set(loop, prove="no")

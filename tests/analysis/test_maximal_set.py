@@ -355,7 +355,7 @@ def test_forged_regions_are_refuted_by_a_step_that_replays(seed):
     for region in forged:
         check = mr.prove_rpi(loop, region)
         assert check.verdict == "refuted" and "a step leaves the region" in check.reason
-        assert_escapes(loop, triangles_of(region), check.witness)
+        assert_escapes(loop, triangles_of(region), check.witness.exact)
 
 
 def test_a_corner_moved_outward_is_noticed():
@@ -371,7 +371,7 @@ def test_a_corner_moved_outward_is_noticed():
             if region.area > S.area + 1e-9:
                 check = mr.prove_rpi(case.loop, region)
                 assert check.verdict == "refuted"
-                assert_escapes(case.loop, triangles_of(region), check.witness)
+                assert_escapes(case.loop, triangles_of(region), check.witness.exact)
                 refuted += 1
     assert refuted >= 4
 

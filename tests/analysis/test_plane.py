@@ -40,8 +40,8 @@ def test_answers_do_not_depend_on_units(seed, mixed):
     check, check_other = mr.prove_rpi(loop, S), mr.prove_rpi(other, rescaled(S, s))
     assert check.verdict == check_other.verdict and check.settled == "exact arithmetic"
     if check.verdict == "refuted":
-        assert_escapes(other, triangles_of(rescaled(S, s)), check_other.witness)
-        assert_escapes(loop, triangles_of(S), check.witness)
+        assert_escapes(other, triangles_of(rescaled(S, s)), check_other.witness.exact)
+        assert_escapes(loop, triangles_of(S), check.witness.exact)
     if own.set is not None:
         settled = mr.attractor(loop, own, tolerance=0.1, max_steps=4)
         settled_other = mr.attractor(other, its, tolerance=0.1 / s, max_steps=4)

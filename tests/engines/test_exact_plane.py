@@ -113,7 +113,12 @@ def test_a_segment_that_is_cut_stays_a_segment(side):
 
 def test_a_witness_leaves_flat_parts_as_well():
     loop = affine_loop(0 * np.eye(2), square(0.25))
-    step = mr.prove_rpi(loop, mr.Region.of(np.zeros((1, 2)))).witness
+    check = mr.prove_rpi(loop, mr.Region.of(np.zeros((1, 2))))
+    step = check.witness.exact
+    again = type(check).from_dict(check.to_dict()).witness
+    assert again.exact == step and again.states.tolist() == check.witness.states.tolist()
+    assert check.witness.modes.tolist() == [step.mode] == [0]
+    assert check.witness.states[1].tolist() == [float(value) for value in step.after]
     assert step.after != (0, 0) and step.after == steps.successor(loop, step.state, step.mode, step.disturbance)
 
 

@@ -1,6 +1,7 @@
 """Float cells against exact cells on slivers and needles, whose tips rounding moves far."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ from fuzz import CLOSE, some_loop
 from loops import jump_loop, random_loop
 
 from mireach import Polytope, directions
+from mireach.arithmetic.rational import binary, dot, maximize
 from mireach.engines.cells import Cells
-from mireach.engines.exact import Exact
+from mireach.engines.exact import Exact, cells
 from mireach.engines.milp.engine import Milp
 
 
@@ -90,3 +92,48 @@ def test_milp_attains_its_values_in_needles(seed):
         found, truth = Milp().support(loop, F, V), Exact().support(loop, F, V)
         assert (found.bound >= truth.value).all() and (found.value <= truth.bound).all()
         assert (found.value >= truth.value - 1e-6 * (1 + np.abs(truth.value))).all()
+
+
+def needle_in_space(rng, loop):
+    """{x : H x <= h} between two pairs of nearly parallel rows; its tip lies in the middle of X."""
+    reach = loop.system.state_set.h.min()
+    tip, w = rng.uniform(-0.3, 0.3, 3) * reach, 10.0 ** rng.uniform(-10, -8)
+    Q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    H = np.array([Q[1], w * Q[0] - Q[1], Q[2], w * Q[0] / 3 - Q[2], -Q[0]])
+    return Polytope(H, H @ tip + [0, 0, 0, 0, reach])
+
+
+def exact_after_two_steps(loop, F, v):
+    """The largest v x(2): over all pairs of exact cells, linear programs in x(0), d(0) in fractions; d(1) is added."""
+    (n, every, best), v = (F.dimension, cells(loop, 10_000), None), binary(v)
+    zero, identity = [0] * n, binary(np.eye(2 * n))
+    for first in every:
+        H, h = map(list, zip(*first.part.half_spaces, *zip(*F.exact)))
+        if maximize(H, h, binary(zero)).point is None:
+            continue
+        D, limits = loop.system.modes[first.mode].disturbance.exact
+        H = [(*a, *binary(zero)) for a in H] + [(*binary(zero), *a) for a in D]
+        after = [(*form[:n], *row[n:]) for form, row in zip(first.forms, identity[n:])]
+        for second in every:
+            rows, ends = map(list, zip(*second.part.half_spaces))
+            ends = [b - sum(x * form[-1] for x, form in zip(a, first.forms)) for a, b in zip(rows, ends)]
+            rows = [[dot(a, column) for column in zip(*after)] for a in rows]
+            w = [dot(v, column) for column in zip(*second.forms)]
+            found = maximize(H + rows, [*h, *limits, *ends], [dot(w[:n], column) for column in zip(*after)])
+            if found.point is None:
+                continue
+            pushed = max(dot(v, binary(d)) for d in loop.system.modes[second.mode].disturbance.vertices())
+            value = found.value + sum(a * form[-1] for a, form in zip(w, first.forms)) + w[-1] + pushed
+            best = value if best is None else max(best, value)
+    return Fraction(int(best.p), int(best.q))
+
+
+@pytest.mark.parametrize("seed", [13, 15, 21])
+def test_bounds_of_two_steps_from_needles_in_space_are_sound_and_tight(seed):
+    rng, loop = np.random.default_rng([seed, 5]), random_loop(seed % 11, n=3, cuts=1)
+    F, V = needle_in_space(rng, loop), rng.normal(size=(1, 3))
+    found, exactly = Cells().support(loop, F, V, 2), exact_after_two_steps(loop, F, V[0])
+    assert exactly <= Fraction(found.bound[0]) and found.bound[0] <= exactly + CLOSE * np.linalg.norm(V)
+    assert found.value[0] == pytest.approx(float(exactly), abs=CLOSE)
+    end = found.witness[0].states[-1]
+    assert V[0] @ end == pytest.approx(found.value[0], abs=1e-6)

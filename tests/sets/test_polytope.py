@@ -1,6 +1,7 @@
 """Polytopes against qhull and formulas: hulls, vertices, sizes, samples, files, and bad arguments."""
 
 import json
+from fractions import Fraction
 from itertools import product
 
 import numpy as np
@@ -308,3 +309,8 @@ def test_area_of_polygons_and_of_flat_and_empty_sets():
     assert Polytope([[1, 0], [-1, 0], [0, 1], [0, -1]], [0, -1, 1, 1]).area == 0
     with pytest.raises(ValueError, match="R\\^3"):
         _ = Polytope.box([0, 0, 0], [1, 1, 1]).area
+
+
+def test_offsets_beyond_the_largest_float_do_not_shrink_a_set_in_other_units():
+    P = Polytope([[1.0, 0.0]], [1e308]).in_units([2.0**-20, 1.0])  # x1' <= 2^20 1e308
+    assert Fraction(P.h[0]) / Fraction(P.H[0, 0]) == Fraction(1e308) * 2**20

@@ -39,7 +39,8 @@ class Comparison:
     F : Polytope
     V : array (k, n)
     limit : array (k,)
-    found : Support
+    image : Support
+        Of R_1(F) along V.
     bound : array (k,)
         The smallest upper bound on h of R_1(F) along V that was computed.
     holds : array (k,) of bool
@@ -54,7 +55,7 @@ class Comparison:
     F: Polytope
     V: Array
     limit: Array
-    found: Support
+    image: Support
     bound: Array
     holds: NDArray[np.bool_]
     settled: str
@@ -86,7 +87,7 @@ class Comparison:
 
     def first_escape(self) -> tuple[int, Witness] | None:
         """A row with a step that exceeds its limit, the largest excess first; None if no such step is found."""
-        excess = (self.found.value - self.limit) * self.weights
+        excess = (self.image.value - self.limit) * self.weights
         for row in np.argsort(-excess, kind="stable").tolist():
             if not self.holds[row]:
                 witness = self.escape(row)
@@ -97,7 +98,7 @@ class Comparison:
     def _passing(self, row: int) -> steps.Step | None:
         v = self.V[row]
         limit = binary(self.limit[row])
-        witness = self.found.witness[row]
+        witness = self.image.witness[row]
         if witness is not None:
             step = steps.farthest_step(self.loop, self.F, v, witness.states[0], int(witness.modes[0]))
             if step is not None and step.value > limit:

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 import shapely
 from shapely.errors import GEOSException
 
 from ..arithmetic.scaling import times
-from ..checks import positive_number, require_kind, whole_number
+from ..checks import positive_number, require_bools, require_kind, whole_number
 from ..engines import exact_plane
-from ..engines.base import EXACT, Escape
+from ..engines.base import EXACT, Witness, witness_of
+from ..engines.units import Units
 from ..errors import CellLimitError, RegionError
 from ..results import Result, Verdict
 from ..sets.geos import Shape, Shapes, hulls, overlay
@@ -27,7 +27,7 @@ from ..sets.polytope import Polytope
 from ..sets.region import Region
 from ..systems.loop import ClosedLoop
 from ..tolerances import LEAST_SLACK, SLACK
-from ..typing import Array, ArrayLike, IntArray
+from ..typing import Array, IntArray
 from .plane import PlanarLoop, normals, square
 
 MOST_ITERATIONS = 500  # default of `max_iterations`
@@ -47,8 +47,9 @@ class RegionCheck(Result):
     Attributes
     ----------
     verdict : Verdict
-    witness : Escape or None
-        A step out of the region, in rational numbers, where the verdict is "refuted".
+    witness : Witness or None
+        A step out of the region, where the verdict is "refuted"; the state alone, if it has no successor. Its floats
+        are rounded; `witness.exact` is the step in fractions.
     reason : str
         What was shown, or why nothing was shown.
     settled : str
@@ -56,7 +57,7 @@ class RegionCheck(Result):
     """
 
     verdict: Verdict
-    witness: Escape | None
+    witness: Witness | None
     reason: str
     settled: str = ""
 
@@ -174,6 +175,7 @@ def maximal_safe_set(
     On a boundary of regions every mode counts. A single line may therefore be lost; with the slack a thin strip around
     it is removed. The maximal set itself need not be closed; `set` and `outer` are closed.
     """
+    require_bools(prove=prove)
     slack = positive_number(slack, "slack")
     max_iterations = whole_number(max_iterations, "max_iterations", 1)
     if slack < LEAST_SLACK:
@@ -204,7 +206,7 @@ def _maximal(plane: PlanarLoop, slack: float, max_iterations: int, prove: bool) 
         if not prove:
             reason = "; ".join([*failures, "not proven, for prove = False"])
             return MaximalSafeSet(*found, Verdict.UNKNOWN, reason, tried)
-        check = _check(plane.loop, history[-1].pieces)
+        check = _check(plane.units, history[-1].pieces)
         if check.verdict == Verdict.PROVEN:
             return MaximalSafeSet(*found, Verdict.PROVEN, "; ".join([*failures, check.reason]), tried, check.settled)
         failures.append(f"with slack {tried:g} {check.reason}")
@@ -352,24 +354,18 @@ def prove_rpi(loop: ClosedLoop, region: Region | Polytope) -> RegionCheck:
     if region.is_empty:
         raise ValueError("the region is empty; there is nothing to prove")
     pieces = region.pieces
-    return _check(units.loop, Polygons(times(pieces.points, 1 / units.state), pieces.starts), units.state)
+    return _check(units, Polygons(times(pieces.points, 1 / units.state), pieces.starts))
 
 
-def _check(loop: ClosedLoop, pieces: Polygons, scale: ArrayLike = (1.0, 1.0)) -> RegionCheck:
-    """`prove_rpi` of pieces in the units of the loop; an escape is multiplied by `scale`."""
+def _check(units: Units, pieces: Polygons) -> RegionCheck:
+    """`prove_rpi` of pieces in the loop's own units; the witness is in the units of the user."""
     try:
-        escape = exact_plane.first_escape(loop, [pieces[i] for i in range(len(pieces))])
+        escape = exact_plane.first_escape(units.loop, [pieces[i] for i in range(len(pieces))])
     except (ArithmeticError, CellLimitError) as error:
         return RegionCheck(Verdict.UNKNOWN, None, str(error))
     if escape is not None:
-        factors = [Fraction(s) for s in np.asarray(scale, float).tolist()]
-        x = tuple(value * s for value, s in zip(escape.state, factors))
-        d, after = (
-            None if part is None else tuple(value * s for value, s in zip(part, factors))
-            for part in (escape.disturbance, escape.after)
-        )
-        escape = Escape(x, escape.mode, d, after)
-        return RegionCheck(Verdict.REFUTED, escape, f"a step leaves the region: {escape}", EXACT)
+        witness = units.witness(witness_of(units.loop, escape))
+        return RegionCheck(Verdict.REFUTED, witness, f"a step leaves the region: {units.escape(escape)}", EXACT)
     reason = f"no step leaves the {len(pieces)} pieces of the region, in rational arithmetic"
     return RegionCheck(Verdict.PROVEN, None, reason, EXACT)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arithmetic.rational import binary, dot, fractions, nearest, rational, strict_point
 from ..checks import require_kind
-from ..engines.base import EXACT, Engine, Escape, Witness, standing
+from ..engines.base import EXACT, Engine, Escape, Witness, witness_of
 from ..engines.registry import engine_for
 from ..engines.units import own_units
 from ..results import Result, Verdict
@@ -102,21 +102,23 @@ def check_rpi(
     if beyond is not None:
         return beyond
     found = compare(loop, F, F.H, F.h, engine, tol, cutoff=F.h)
-    escape = None if found.holds.all() else found.first_escape()
-    if escape is None and not found.holds.all():
+    proven = found.holds.all()
+    escape = None if proven else found.first_escape()
+    if escape is None and not proven:
         found = compare(loop, F, F.H, F.h, engine, tol, thorough=True, cutoff=F.h)
-    shown = found.holds | (found.bound > F.h)  # a solver's word alone shows no margin
-    margin = np.where(shown, F.h - found.bound, -np.inf)
-    if found.holds.all():
+        proven = found.holds.all()
+    margin = F.h - found.bound
+    if proven:
         within = "" if (margin >= 0).all() else f" to within {-margin.min():.1g}"
         return RPICheck(Verdict.PROVEN, margin, None, f"R1(F) lies in F{within}; {found.settled}", found.settled)
+    margin[~(found.holds | (found.bound > F.h))] = -np.inf  # a solver's word alone shows no margin
     if escape is not None:
         row, witness = escape
         excess = exact_excess(witness, F.H[row], F.h[row])
         reason = f"facet {row + 1} is passed by {nearest(excess):.3g}: {witness}{decimal_hint(loop, F.H[row], excess)}"
         return RPICheck(Verdict.REFUTED, margin, witness, reason, EXACT)
     worst = found.worst
-    over, attained = found.bound[worst] - F.h[worst], found.found.value[worst] - F.h[worst]
+    over, attained = found.bound[worst] - F.h[worst], found.image.value[worst] - F.h[worst]
     gap = f"bound - h = {over:.3g}, attained - h = {attained:.3g}"
     word = f"; {believed(engine)}" if found.is_believed_only else ""
     return RPICheck(Verdict.UNKNOWN, margin, None, f"facet {worst + 1} is not settled: {gap}{word}{found.stopped}")
@@ -139,9 +141,8 @@ def outside(loop: ClosedLoop, F: Polytope) -> RPICheck | None:
                 f"F holds states outside the state set, beyond its row {row + 1}, where the loop has no successor"
                 f"{'' if x.point is None else decimal_hint(loop, a, x.value - binary(b))}"
             )
-            floats = np.array([nearest(entry) for entry in state])
             nothing = np.full(len(F.h), -np.inf)
-            witness = standing(loop, floats, Escape(fractions(state)))
+            witness = witness_of(loop, Escape(fractions(state)))
             return RPICheck(Verdict.REFUTED, nothing, witness, reason, EXACT)
     return None
 

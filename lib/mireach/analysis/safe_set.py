@@ -6,7 +6,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from ..arithmetic.rational import nearest
-from ..checks import require_kind, whole_number
+from ..checks import require_bools, require_kind, whole_number
 from ..engines.base import EXACT, SOLVER, Engine, Support, Witness
 from ..engines.registry import engine_for
 from ..results import Result, Verdict
@@ -116,6 +116,7 @@ def safe_set(
     this: R_1(F_k) in F_k is checked by itself. For the same k, F_k lies in that of eq. (21), Fk, so the iteration
     with `cut_first` ends no later.
     """
+    require_bools(cut_first=cut_first, progress=progress)
     max_iterations = whole_number(max_iterations, "max_iterations", 0)
     V = with_rows(template(loop, C), loop.system.state_set.H)
     engine = engine_for(loop, engine)
@@ -136,7 +137,7 @@ def safe_set(
                 return _unknown(history, f"R1(F{k}) lies in X by bounds that prove nothing: {believed(engine)}")
             if found.holds.all():
                 return _safe(found, history, V, engine, tol, cut_first or not trusted)
-            image, smaller = found.found, np.minimum(found.bound, h)
+            image, smaller = found.image, np.minimum(found.bound, h)
             if cut_first:
                 smaller = np.minimum(cut_support(loop, history[-1], V, engine), h)
             trusted &= image.rests_on != SOLVER
@@ -178,7 +179,7 @@ def _safe(
     if found.is_believed_only:
         return _unknown(history, f"R1(F{k}) lies in F{k} by bounds that prove nothing: {believed(engine)}")
     if not found.holds.all():
-        rests = found.found.rests_on
+        rests = found.image.rests_on
         reason = f"R1(F{k}) lies in X, but not in F{k}: a bound of {engine.name} was wrong ({rests})"
         return _unknown(history, reason)
     reason = f"R1(F{k}) lies in X, so F{k} is RPI; {found.settled}"
@@ -198,7 +199,7 @@ def _leaves(found: Comparison, k: int, engine: Engine) -> tuple[str, Witness | N
     worst = found.worst
     if found.bound[worst] == np.inf:
         return f"the engine {engine.name} has no bound of R1(F{k}) along row {worst + 1} of the template", None, False
-    seen = found.found.witness[worst]
+    seen = found.image.witness[worst]
     return f"R1(F{k}) leaves X by {(found.bound - limit)[worst]:.3g}: {seen}", seen, False
 
 
@@ -212,7 +213,7 @@ def _stagnation(found: Comparison, h: Array, smaller: Array, k: int) -> tuple[bo
     if not (smaller >= h).all():
         apart = ((h - smaller) * found.weights).max()
         return False, f"F{k + 1} = F{k} to within {apart:.1g} of the size of X"
-    if not is_attained(found.loop, found.found, found.V, h):
+    if not is_attained(found.loop, found.image, found.V, h):
         return False, f"F{k + 1} = F{k} by bounds that may be loose, as no values attain them"
     return True, f"F{k + 1} = F{k}"
 

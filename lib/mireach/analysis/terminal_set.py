@@ -6,7 +6,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from ..arithmetic.rational import binary
-from ..checks import positive_number, whole_number
+from ..checks import positive_number, require_bools, whole_number
 from ..engines.base import Engine, Witness
 from ..engines.registry import engine_for
 from ..engines.steps import attained, farthest_step
@@ -144,13 +144,14 @@ def terminal_set(
     R_j-bar(F_max) for all j. So the limit lies in R_k-bar, and R_k-bar lies in c + (1 + epsilon) (limit - c). The
     offsets of R_1-bar(S) are attained values here, not upper bounds.
     """
+    require_bools(progress=progress)
     F = set_to_start_from(safe)
     epsilon, max_steps = positive_number(epsilon, "epsilon"), whole_number(max_steps, "max_steps", 1)
     engine, tol = engine_for(loop, engine), tolerance(tol)
     c = centre_point(loop, centre)
     V = with_rows(template(loop, C), F.H)
     found = require_rpi(loop, F, V, engine, tol)
-    image = found.found
+    image = found.image
     after = found.bound
     settled = found.settled
     h, history = F.bound(V), [F]

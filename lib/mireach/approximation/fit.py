@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from ..checks import whole_number
+from ..checks import require_bools, whole_number
 from ..errors import SolverError
 from ..sets.polytope import Polytope
 from ..systems.nonlinear import NonlinearSystem
@@ -212,6 +212,7 @@ def fit_pwa(
     """
     system = nonlinear_system(f, state_set, input_set)
     regions = checked_regions(regions, system)
+    require_bools(per_mode=per_mode)
     _require_choice(method, METHODS, "method")
     _require_choice(error, ERRORS, "error")
     grid = whole_number(grid, "grid", 2)

@@ -89,6 +89,8 @@ MOST_COMMAS = 1_000_000  # of a file, which limits the number of its entries
 MOST_ENTRIES = 2_000  # of one list
 MOST_REMEMBERED = 100_000  # supports of disturbance sets
 MOST_MEMORY = 300_000_000  # bytes of whole numbers that are held at once, see `bytes_of`
+BATCH = 16  # forms after which time and memory are looked at
+MANY = 50  # corners of a polytope from which on their memory counts by itself
 MOST_LAYERS = 100  # of a network
 GRID = 150  # bits by which the grid of a box is finer than the smallest of its ends
 MOST_DIGITS = 4_000  # of a fraction that is read or written
@@ -650,7 +652,7 @@ def half_space(a: Row, b: Fraction) -> Form:
 
 def bytes_of(*lists: Iterable[Sequence[int]]) -> int:
     """Roughly the memory that corners or forms take."""
-    return sum(120 + sum(32 + entry.bit_length() // 8 for entry in row) for rows in lists for row in rows)
+    return sum([120 + 32 * len(row) + sum(map(int.bit_length, row)) // 8 for rows in lists for row in rows])
 
 
 def point(corner: Corner) -> Row:
@@ -673,8 +675,8 @@ def crossing(x: Corner, y: Corner, before: int, after: int) -> Corner:
     return tuple(entry // common for entry in between)
 
 
-def clip(P: Polytope, form: Form, clock: Budget, flat: bool = True) -> Polytope:
-    """The part of a polytope in the half-space of a form; {} if there is none.
+def clip(P: Polytope, form: Form, clock: Budget, flat: bool = True, values: Sequence[int] | None = None) -> Polytope:
+    """The part of a polytope in the half-space of a form; {} if there is none. `values` are `at` its corners, if known.
 
     Its corners are those of P in the half-space, and one on each edge of P that crosses the boundary. Two corners
     share an edge if and only if no third is tight in all the limits in which both are: these limits describe the
@@ -685,7 +687,7 @@ def clip(P: Polytope, form: Form, clock: Budget, flat: bool = True) -> Polytope:
     is tight in no corner, and so superfluous. A part that only touches the boundary is a face of P, of lower dimension;
     without `flat` it is {} as well.
     """
-    values = [at(form, x) for x in P]
+    values = [sum(map(mul, form, x)) for x in P] if values is None else values
     if not values or max(values) <= 0:
         return P
     kept: Polytope = {}
@@ -710,7 +712,8 @@ def clip(P: Polytope, form: Form, clock: Budget, flat: bool = True) -> Polytope:
         kept[x] |= bit
     least, masks = len(form) - 2, list(P.values())
     for x, mask, before in inside:
-        clock.hold(len(kept) * bytes_of([x]))
+        if len(kept) > MANY:
+            clock.hold(len(kept) * bytes_of([x]))
         for y, other, after in beyond:
             common = mask & other
             if common.bit_count() >= least:
@@ -809,22 +812,30 @@ def axes(n: int, unit: int = 1) -> list[Form]:
 
 
 def combine(row: Sequence[int], forms: Sequence[Form], unit: int) -> Form:
-    """The form b + w_1 f_1 + ... + w_q f_q of whole numbers (b, w) and forms over a unit."""
+    """The form b + w_1 f_1 + ... + w_q f_q of whole numbers (b, w) and forms over a unit; entries that lack are 0."""
+    return mixed(row, list(zip_longest(*forms, fillvalue=0)), unit)
+
+
+def mixed(row: Sequence[int], columns: Sequence[Sequence[int]], unit: int) -> Form:
+    """As `combine`, of the columns of the matrix with the forms as rows."""
     weights = row[1:]
-    constant, *linear = (sum(map(mul, weights, column)) for column in zip_longest(*forms, fillvalue=0))
-    return (row[0] * unit + constant, *linear)
+    entries = [sum(map(mul, weights, column)) for column in columns]
+    entries[0] += row[0] * unit
+    return tuple(entries)
 
 
 def combined(
     rows: Iterable[Sequence[int]], forms: Sequence[Form], unit: int, clock: Budget, held: int = 0
 ) -> list[Form]:
     """`combine` for each row; `held` are the bytes that others hold."""
-    found = []
+    found: list[Form] = []
+    columns = list(zip_longest(*forms, fillvalue=0))
     for row in rows:
-        clock()
-        found.append(combine(row, forms, unit))
-        held += bytes_of(found[-1:])
-        clock.hold(held)
+        found.append(mixed(row, columns, unit))
+        if len(found) % BATCH == 0:
+            clock()
+            held += bytes_of(found[-BATCH:])
+            clock.hold(held)
     return found
 
 
@@ -837,7 +848,7 @@ def winners(P: Polytope, channels: Sequence[Form], clock: Budget) -> Iterator[tu
     heights = []
     for form in channels:
         clock()
-        heights.append([at(form, x) for x in P])
+        heights.append([sum(map(mul, form, x)) for x in P])
     largest = [max(column) for column in zip(*heights)]
     if largest in heights:
         yield P, channels[heights.index(largest)]
@@ -846,7 +857,8 @@ def winners(P: Polytope, channels: Sequence[Form], clock: Budget) -> Iterator[tu
         part = {} if heights[j] in heights[:j] else P
         for other, height in zip(channels, heights):
             if part and any(map(gt, height, heights[j])):
-                part = clip(part, tuple(map(sub, other, form)), clock, flat=False)
+                values = list(map(sub, height, heights[j])) if part is P else None
+                part = clip(part, tuple(map(sub, other, form)), clock, flat=False, values=values)
         if part:
             yield part, form
 
@@ -867,7 +879,7 @@ def affine_pieces(network: Network, domain: Polytope, clock: Budget) -> list[Pie
                 for old, won in parts:
                     for new, form in winners(old, neuron, clock):
                         split.append((new, [*won, form]))
-                        held += bytes_of(new, [form]) + 8 * len(won)
+                        held += bytes_of([form], () if new is old else new) + 8 * len(won)
                         clock.hold(size + held)
                 parts = split
             for part, won in parts:

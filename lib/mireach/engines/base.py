@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, overload
 
 import numpy as np
 
+from ..arithmetic.rational import nearest, rational
 from ..checks import real_array, require_columns, require_kind, whole_number
 from ..results import NOT_STORED, Result
 from ..sets.polytope import Polytope
@@ -64,7 +65,7 @@ class Witness(Result):
         The mode that acts at each step, counted from 0; it matters where regions share a boundary.
     disturbances : array (steps, n)
     exact : Escape or None
-        The step in fractions with which the trajectory leaves a set.
+        The step in fractions with which the trajectory leaves a set; None where no set is left.
     """
 
     states: Array
@@ -346,10 +347,17 @@ def replay(loop: ClosedLoop, x0: ArrayLike, modes: Iterable[int], disturbances: 
     return Witness(np.array(states), np.array(inputs), np.asarray(modes, int), np.asarray(disturbances, float))
 
 
-def standing(loop: ClosedLoop, x: ArrayLike, exact: Escape | None = None) -> Witness:
-    """A trajectory of no steps that stays at x (n,), as a Witness."""
-    n, m = loop.system.state_size, loop.system.input_size
-    return Witness(np.asarray(x)[None], np.zeros((0, m)), np.zeros(0, int), np.zeros((0, n)), exact)
+def witness_of(loop: ClosedLoop, escape: Escape) -> Witness:
+    """A step in fractions as a Witness, rounded to floats; `exact` is the step itself.
+
+    Where the state has no successor, the Witness has no steps.
+    """
+    x = np.array([nearest(entry) for entry in rational(list(escape.state))])
+    if escape.mode is None or escape.disturbance is None:
+        n, m = len(x), loop.system.input_size
+        return Witness(x[None], np.zeros((0, m)), np.zeros(0, int), np.zeros((0, n)), escape)
+    d = np.array([nearest(entry) for entry in rational(list(escape.disturbance))])
+    return replace(replay(loop, x, [escape.mode], [d]), exact=escape)
 
 
 def checked_query(loop: ClosedLoop, F: Polytope, V: ArrayLike, steps: int) -> tuple[Array, int]:

@@ -16,6 +16,7 @@ FEW_CELLS = 200_000  # up to which the cells are the default for more than two s
 MOST_STATES = 6  # up to which they are tried
 
 ENGINES: dict[str, type[Engine]] = {kind.name: kind for kind in (Cells, Milp, Exact, Cvxpy)}
+OF_THE_PLANE = Cells()
 
 
 def engine_for(loop: ClosedLoop, engine: Engine | str | None = None, steps: int = 1) -> Engine:
@@ -65,7 +66,7 @@ def _fastest(loop: ClosedLoop, steps: int) -> Engine:
     """`Cells`, or `Milp` for loops with too many states or cells, and for several steps of more than two states."""
     n = loop.system.state_size
     if n == 2:
-        return Cells()
+        return OF_THE_PLANE
     if n > MOST_STATES or steps > 1:
         return Milp()
     try:

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from ..arithmetic.rational import above, binary, dot, maximize, nearest
+from ..arithmetic.balls import flint
+from ..arithmetic.rational import Rational, Vector, above, binary, dot, maximize, nearest
 from ..errors import CellLimitError, SolverError
 from ..sets.cell_complex import CellComplex
 from ..sets.polytope import Polytope
@@ -15,7 +16,7 @@ from ..sets.templates import box_directions
 from ..solvers.linear_program import LinearProgram
 from ..systems.loop import ClosedLoop
 from ..systems.network import MaxoutNetwork
-from ..tolerances import BOUND_GRID, CLOSE_BOUND, FLAT_IMAGE, LARGE_IMAGE, ROUNDOFF
+from ..tolerances import BOUND_GRID, CLOSE_BOUND, FLAT_IMAGE, LARGE_IMAGE, ROUNDOFF, THIN_IMAGE
 from ..typing import Array, BoolArray, IntArray
 from .base import LazySequence, Support, Witness, empty_support, replay
 
@@ -98,11 +99,41 @@ class SpaceSupport(Support):
     left: IntArray
 
 
+Chain: TypeAlias = tuple[tuple[Polytope, int], ...]  # (part of a cell, cell), one for each step
+
+
 class Piece(NamedTuple):
-    """A Polytope of states after some steps, and for each of these steps the (part of a cell, cell) it started from."""
+    """A Polytope that contains the states after a sequence of cells.
+
+    Attributes
+    ----------
+    set : Polytope
+    chain : Chain
+    close : bool
+        Whether none of the parts is thin or a needle; the images of such parts may be loose.
+    """
 
     set: Polytope
-    chain: tuple[tuple[Polytope, int], ...]
+    chain: Chain
+    close: bool
+
+
+class Trajectory(NamedTuple):
+    """Where v x(k) is largest over the trajectories through a sequence of cells.
+
+    Attributes
+    ----------
+    value : fmpq
+    start : array (n,)
+        x(0).
+    modes : list of int
+    disturbances : list of arrays (n,)
+    """
+
+    value: Rational
+    start: Array
+    modes: list[int]
+    disturbances: list[Array]
 
 
 def dynamics(loop: ClosedLoop, limit: int) -> LoopCells:
@@ -236,14 +267,7 @@ def support(
     if steps == 1 and isinstance(warm_start, SpaceSupport) and warm_start.every is every:
         if np.array_equal(F.H, warm_start.F.H) and (F.h <= warm_start.F.h).all():
             chosen = warm_start.left
-    pieces = [Piece(F, ())]
-    for step in range(steps - 1):
-        pieces = _uncovered([image for piece in pieces for image in _images(loop, every, piece)])
-        if len(pieces) > MOST_PIECES:
-            raise CellLimitError(
-                f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, a smaller F, "
-                'or engine="milp"'
-            )
+    pieces = _reached(loop, every, F, steps, _uncovered)
     found = [(piece, _highest(every, rows, piece.set, chosen)) for piece in pieces]
     found = [(piece, best) for piece, best in found if not _is_empty(every, piece.set, best)]
     if not found:
@@ -255,8 +279,137 @@ def support(
     witness = LazySequence(len(V), lambda k: _witness(loop, every, F, V[k], pieces[end[k]], best[end[k]], k))
     bound = np.ceil(top / rows.unit + 0.05) * rows.unit
     if steps > 1:
-        return Support(value, bound, witness)
+        loose = {
+            k: (
+                *pieces[i].chain,
+                (every.cells.complex.polytope(best[i].owner[k]) & pieces[i].set, int(best[i].owner[k])),
+            )
+            for k, i in enumerate(end.tolist())
+            if not pieces[i].close
+        }
+        several = Support(value, bound, witness)
+        return _narrowed(loop, every, F, steps, rows, several, loose) if loose else several
     return SpaceSupport(value, bound, witness, F, every, best[0].left)
+
+
+def _reached(
+    loop: ClosedLoop, every: LoopCells, F: Polytope, steps: int, kept: Callable[[Sequence[Piece]], list[Piece]]
+) -> list[Piece]:
+    """Pieces that cover the states after steps - 1 steps from F; after each step only those that `kept` returns.
+
+    Raises
+    ------
+    CellLimitError
+        If there are too many.
+    """
+    pieces = [Piece(F, (), True)]
+    for step in range(steps - 1):
+        pieces = kept([image for piece in pieces for image in _images(loop, every, piece)])
+        if len(pieces) > MOST_PIECES:
+            raise CellLimitError(
+                f"after {step + 1} steps the reachable set has {len(pieces)} pieces; take fewer steps, a smaller F, "
+                'or engine="milp"'
+            )
+    return pieces
+
+
+def _narrowed(
+    loop: ClosedLoop, every: LoopCells, F: Polytope, steps: int, rows: _Rows, found: Support, best: dict[int, Chain]
+) -> Support:
+    """A Support of several steps, computed again along the rows in `best`, where images may be loose.
+
+    Trajectories through a chain of cells are the points of one polytope, over which v x(k) is maximized in rational
+    arithmetic. If that does not attain the bound of the row with its best chain, the largest of the maxima over all
+    chains counts. For it no piece may be left out because it lies in another one, for the images are looser than these
+    maxima. Where there are too many pieces, the bound stays as it is.
+    """
+    V, value, bound, witnesses = rows.maps[7], found.value.copy(), found.bound.copy(), list(found.witness)
+    chains: list[Chain] | None = None
+    for k, chain in best.items():
+        highest = highest_through(loop, every, F, V[k], chain)
+        if highest is None or bound[k] - nearest(highest.value) > CLOSE_BOUND + 2 * rows.unit[k]:
+            if chains is None:
+                chains, tops = _chains(loop, every, F, steps, rows)
+            if chains:
+                highest, top = _highest_over(loop, every, F, V[k], chains, tops[:, k], highest)
+                bound[k] = min(bound[k], np.ceil(top / rows.unit[k] + 0.05) * rows.unit[k])
+        value[k] = -np.inf if highest is None else nearest(highest.value)
+        witnesses[k] = None if highest is None else replay(loop, highest.start, highest.modes, highest.disturbances)
+    return Support(value, bound, witnesses)
+
+
+def _highest_over(
+    loop: ClosedLoop,
+    every: LoopCells,
+    F: Polytope,
+    v: Array,
+    chains: Sequence[Chain],
+    tops: Array,
+    highest: Trajectory | None,
+) -> tuple[Trajectory | None, float]:
+    """The largest v x(k) over chains with upper bounds `tops` (N,), of which one may be known, and its upper bound."""
+    for i in np.argsort(-tops, kind="stable").tolist():
+        if highest is not None and tops[i] <= nearest(highest.value) + CLOSE_BOUND:
+            return highest, max(tops[i], above(highest.value))
+        other = highest_through(loop, every, F, v, chains[i])
+        if highest is None or (other is not None and other.value > highest.value):
+            highest = other
+    return highest, -np.inf if highest is None else above(highest.value)
+
+
+def _chains(loop: ClosedLoop, every: LoopCells, F: Polytope, steps: int, rows: _Rows) -> tuple[list[Chain], Array]:
+    """All chains of cells from F, and upper bounds (N, k) of v x(k) over them; none if there are too many pieces."""
+    chains: list[Chain] = []
+    tops = [np.zeros((0, len(rows.unit)))]
+    try:
+        pieces = _reached(loop, every, F, steps, list)
+    except CellLimitError:
+        return chains, tops[0]
+    for piece in pieces:
+        part, owner = every.cells.complex.clip(np.column_stack([piece.set.H, piece.set.h]))
+        tops.append(part.heights(_maps(every, owner, rows.maps[7], rows.spread))[1])
+        chains += [(*piece.chain, (part.polytope(i), cell)) for i, cell in enumerate(owner.tolist())]
+    return chains, np.vstack(tops)
+
+
+def highest_through(loop: ClosedLoop, every: LoopCells, F: Polytope, v: Array, chain: Chain) -> Trajectory | None:
+    """max v x(k) over x(0) in F, x(j) in part j of the chain, d(j) in D widened by the error of cell j; None if empty.
+
+    One linear program in x(0), d(0), ..., d(k-1), solved in rational arithmetic.
+    """
+    n, count = len(v), len(v) * (len(chain) + 1)
+    zero, one = flint().fmpq(0), flint().fmpq(1)
+    unit = [tuple(one if i == j else zero for j in range(count)) for i in range(count)]
+    x, offset = unit[:n], [zero] * n  # x(j) = x z + offset, for the variables z
+    H, h = _composed(F, x, offset)
+    modes = [int(every.cells.mode[cell]) for _, cell in chain]
+    for j, (part, cell) in enumerate(chain):
+        D, error = loop.system.modes[modes[j]].disturbance, binary(every.error[cell])
+        inside, own = _composed(part, x, offset), _composed(D, unit[n * (j + 1) : n * (j + 2)], [zero] * n)
+        widened = [b + sum((abs(e * s) for e, s in zip(a, error)), zero) for a, b in zip(D.exact[0], own[1])]
+        H, h = [*H, *inside[0], *own[0]], [*h, *inside[1], *widened]
+        M, c = every.M[cell], binary(every.c[cell])
+        d = unit[n * (j + 1) : n * (j + 2)]
+        x, offset = (
+            [tuple(map(sum, zip(_combined(row, x), one_d))) for row, one_d in zip(map(binary, M), d)],
+            [dot(row, offset) + b for row, b in zip(map(binary, M), c)],
+        )
+    best = maximize(H, h, _combined(binary(v), x))
+    if best.point is None:
+        return None
+    z = np.array([nearest(entry) for entry in best.point]).reshape(-1, n)
+    return Trajectory(best.value + dot(binary(v), offset), z[0], modes, list(z[1:]))
+
+
+def _composed(P: Polytope, x: Sequence[Vector], offset: Vector) -> tuple[list[Vector], list[Rational]]:
+    """The half-spaces of the z for which x z + offset lies in P."""
+    H, h = P.exact
+    return [_combined(a, x) for a in H], [b - dot(a, offset) for a, b in zip(H, h)]
+
+
+def _combined(a: Vector, rows: Sequence[Vector]) -> Vector:
+    """a rows, for rows of fmpq."""
+    return tuple(dot(a, column) for column in zip(*rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,16 +481,20 @@ def _images(loop: ClosedLoop, every: LoopCells, piece: Piece) -> list[Piece]:
     for i, cell in enumerate(owner.tolist()):
         mode = every.cells.mode[cell]
         points = every.images(part.vertices(i), np.full(part.counts[i, 0], cell))
-        H = _normals((points[:, None] + corners[mode]).reshape(-1, points.shape[1]))
+        H, thickness = _normals((points[:, None] + corners[mode]).reshape(-1, points.shape[1]))
         spread = np.array([one.disturbance.bound(H) for one in loop.system.modes])
         chosen = np.array([i])
-        _, tops = part.take(chosen).heights(_maps(every, np.array([cell]), H, spread))
-        found.append(Piece(Polytope(H, tops[0]), (*piece.chain, (part.polytope(i), cell))))
+        heights, tops = part.take(chosen).heights(_maps(every, np.array([cell]), H, spread))
+        close = piece.close and thickness >= THIN_IMAGE and bool((tops - heights <= CLOSE_BOUND).all())
+        found.append(Piece(Polytope(H, tops[0]), (*piece.chain, (part.polytope(i), cell)), close))
     return found
 
 
-def _normals(points: Array) -> Array:
-    """Facet normals (l, n) for a close outer approximation of the hull of points (k, n): its own and those of a box."""
+def _normals(points: Array) -> tuple[Array, float]:
+    """Facet normals (l, n) for a close outer approximation of the hull of points (k, n): its own and those of a box.
+
+    Also its smallest extent, except along axes along which it is flat, relative to its largest.
+    """
     n, middle = points.shape[1], points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(points - middle, full_matrices=True)
     size = max(1.0, float(np.abs(points).max()))
@@ -347,7 +504,7 @@ def _normals(points: Array) -> Array:
         local = (points - middle) @ axes[:rank].T
         inside = Polytope.from_points(local).H if rank > 1 else box_directions(1)
         rows.append(inside @ axes[:rank])
-    return np.vstack(rows)
+    return np.vstack(rows), float(sizes[rank - 1] / sizes[0]) if rank else 1.0
 
 
 def _uncovered(pieces: Sequence[Piece]) -> list[Piece]:

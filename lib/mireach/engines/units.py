@@ -8,6 +8,7 @@ scales with its channels. Loops that differ only in units become the same loop, 
 """
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -20,7 +21,7 @@ from ..systems.loop import ClosedLoop
 from ..systems.network import Layer, MaxoutNetwork
 from ..systems.pwa import Mode, PWASystem
 from ..typing import Array
-from .base import Engine, LazySequence, Query, Support, Witness
+from .base import Engine, Escape, LazySequence, Query, Support, Witness
 
 T = TypeVar("T")
 
@@ -60,7 +61,18 @@ class Units:
         if found is None:
             return None
         states, disturbances = found.states * self.state, found.disturbances * self.state
-        return Witness(states, found.inputs * self.inputs, found.modes, disturbances)
+        exact = None if found.exact is None else self.escape(found.exact)
+        return Witness(states, found.inputs * self.inputs, found.modes, disturbances, exact)
+
+    def escape(self, found: Escape) -> Escape:
+        """An Escape in the units of the user."""
+        factors = [Fraction(s) for s in self.state.tolist()]
+        x, d, after = (
+            None if part is None else tuple(value * s for value, s in zip(part, factors))
+            for part in (found.state, found.disturbance, found.after)
+        )
+        assert x is not None  # every Escape has a state
+        return Escape(x, found.mode, d, after)
 
     def support(self, found: Support, factor: Array, engine: Engine, query: Query | None = None) -> Support:
         """A Support along rows V' in the units of the user, along V."""

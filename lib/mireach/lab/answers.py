@@ -10,7 +10,7 @@ import numpy as np
 from ..analysis.maximal_set import MaximalSafeSet, maximal_safe_set
 from ..analysis.safe_set import SafeSet, safe_set
 from ..analysis.terminal_set import TerminalSet, terminal_set
-from ..checks import require_kind
+from ..checks import require_bools, require_kind
 from ..sets.polytope import Polytope
 from ..studies.case_analysis import SETTLING
 from ..systems.loop import ClosedLoop
@@ -142,6 +142,7 @@ def look(subject: Subject, settings: Settings | None = None, *, terminal: bool =
     'proven'
     """
     require_kind(subject, Subject, "subject")
+    require_bools(terminal=terminal)
     settings = subject.settle({} if settings is None else settings)
     base, loop, start = subject.base(settings), subject.loop(settings), subject.start(settings)
     template = subject.template("safe_directions", settings)

@@ -32,7 +32,12 @@ TERMINAL_SET_CONTROLS = (*SAFE_SET_CONTROLS, "amount", "directions", "log_epsilo
 
 
 def step_viewer(
-    draw: Callable[[Any, int], object], count: int, label: str = "k", size: tuple[float, float] = (5.0, 5.0)
+    draw: Callable[[Any, int], object],
+    count: int,
+    label: str = "k",
+    size: tuple[float, float] = (5.0, 5.0),
+    *,
+    dimension: int = 2,
 ) -> ipywidgets.VBox:
     """A slider with a play button that shows one picture per step.
 
@@ -46,6 +51,8 @@ def step_viewer(
         Of the slider.
     size : (float, float)
         Of the picture, in inches.
+    dimension : 2 or 3
+        Of the Axes.
 
     Returns
     -------
@@ -55,7 +62,7 @@ def step_viewer(
     Raises
     ------
     ValueError
-        If count is no whole number of at least 1.
+        If count is no whole number of at least 1, or dimension neither 2 nor 3.
 
     Examples
     --------
@@ -64,11 +71,13 @@ def step_viewer(
     2
     """
     count = whole_number(count, "count", 1)
+    if dimension not in (2, 3):
+        raise ValueError(f"dimension must be 2 or 3; got {dimension!r}")
     pictures: dict[int, bytes] = {}
 
     def picture(k: int) -> bytes:
         if k not in pictures:
-            figure, ax = new_figure(size, dpi=2 * SCREEN_DPI)
+            figure, ax = new_figure(size, 2 * SCREEN_DPI, dimension)
             draw(ax, k)
             file = io.BytesIO()
             figure.savefig(file, format="png")

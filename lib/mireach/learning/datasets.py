@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 from tqdm.auto import tqdm
 
-from ..checks import real_array, require_columns, whole_number
+from ..checks import real_array, require_bools, require_columns, whole_number
 from ..errors import CorruptFileError, MireachError
 from ..files import END, write_whole
 from ..sets.polytope import Polytope
@@ -327,6 +327,7 @@ def _uniform(box: Polytope, rng: np.random.Generator | int, count: int) -> Array
 
 def _collect(states: Array, solve: Callable[[Array, Show], Solutions], progress: bool, jobs: int) -> DataSet:
     """The data set of `solve(states, show)`, a list of solutions, in `jobs` processes."""
+    require_bools(progress=progress)
     if jobs == 1:
         solutions = solve(states, partial(tqdm, desc="optimal control", unit="state", disable=not progress))
     else:

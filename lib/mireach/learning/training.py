@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm.auto import trange
 
-from ..checks import positive_number, real_array, whole_number
+from ..checks import positive_number, real_array, require_bools, whole_number
 from ..errors import MissingExtraError
 from ..systems.network import Layer, MaxoutNetwork
 from ..typing import Array, ArrayLike
@@ -177,6 +177,7 @@ def train(
     n, m = states.shape[1], inputs.shape[1]
     lower = real_array(np.broadcast_to(lower, m), "lower", 1)
     upper = real_array(np.broadcast_to(upper, m), "upper", 1)
+    require_bools(progress=progress)
     steps, learning_rate = whole_number(steps, "steps", 0), positive_number(learning_rate, "learning_rate")
     centre, scale = _scaling(states)
     module = maxout_module(n, m, layers=layers, width=width, pool=pool, rng=rng)

@@ -9,7 +9,7 @@ import numpy as np
 from ..arithmetic import rational
 from ..arithmetic.balls import flint
 from ..arithmetic.rational import nearest
-from ..arithmetic.scaling import LARGEST, normal_rows, power_of_two, times
+from ..arithmetic.scaling import normal_rows, power_of_two, times
 from ..checks import positive_number, real_array, require_kind, whole_number
 from ..typing import Array, ArrayLike
 from . import operations
@@ -362,7 +362,8 @@ class Polytope(ConvexSet):
         if (np.ldexp(upper, -1) - np.ldexp(lower, -1) >= 2.0**1023).any():
             raise ValueError("the polytope is wider than the largest float; choose another unit")
         draws = rng.uniform(lower, upper, (20 * size + 100, self.dimension))
-        inside = draws[self.contains(draws)]
+        own = (np.abs(self.H).sum(axis=1) != 1) | ((self.H != 0).sum(axis=1) != 1)  # rows that the box does not imply
+        inside = draws[Polytope(self.H[own], self.h[own]).contains(draws)] if own.any() else draws
         if len(inside) >= max(size, len(draws) / 10):
             return inside[:size]
         try:
@@ -669,7 +670,9 @@ class Polytope(ConvexSet):
         return M, t
 
     def in_units(self, scale: ArrayLike) -> Polytope:
-        """{x' : scale x' in P}, rows scaled by powers of two to a largest entry above 1/2 and up to 1.
+        """{x' : scale x' in P}, without rounding.
+
+        Rows are scaled by powers of two to a largest entry above 1/2 and up to 1, or as far as h stays finite.
 
         Parameters
         ----------
@@ -695,7 +698,9 @@ class Polytope(ConvexSet):
         (array([1., 1.]), array([2., 1.]))
         """
         H, factor = normal_rows(times(self.H, np.asarray(scale, float)))
-        return Polytope(H, np.clip(self.h * factor, -LARGEST, LARGEST))
+        power = np.frexp(factor)[1] - 1
+        beyond = np.maximum(np.frexp(self.h)[1] + power - 1024, 0)  # of the range of floats
+        return Polytope(times(H, np.ldexp(1.0, -beyond)[:, None]), np.ldexp(self.h, power - beyond))
 
     def product(self, other: Polytope) -> Polytope:
         """Cartesian product {(x, y) : x in P, y in other}, without rounding.

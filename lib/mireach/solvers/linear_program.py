@@ -153,10 +153,12 @@ class LinearProgram:
         first = len(self.lower)
         self._cached_rows = None
         self._cached_limits = None
-        ends = np.array([_within_reach(*pair) for pair in zip(lower.ravel().tolist(), upper.ravel().tolist())])
-        _require_accepted(self.highs.addVars(lower.size, *ends.reshape(-1, 2).T.copy()), "variables")
-        self.lower = np.concatenate([self.lower, lower.ravel()])
-        self.upper = np.concatenate([self.upper, upper.ravel()])
+        low, high = lower.ravel(), upper.ravel()
+        self.lower = np.concatenate([self.lower, low])
+        self.upper = np.concatenate([self.upper, high])
+        if (low > LARGEST).any() or (high < -LARGEST).any():
+            low, high = np.array([_within_reach(*pair) for pair in zip(low.tolist(), high.tolist())]).T.copy()
+        _require_accepted(self.highs.addVars(lower.size, low, high), "variables")
         return np.arange(first, first + lower.size, dtype=np.int32)
 
     def set_bounds(self, columns: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
@@ -190,13 +192,14 @@ class LinearProgram:
             coefficients = scaled
             power = -exponent
             lower, upper = -_scaled_up(-lower, -exponent), _scaled_up(upper, -exponent)
-        used = coefficients != 0
+        used = coefficients.nonzero()
         indices, coefficients = np.asarray(columns, np.int32)[used], coefficients[used]
         row = Row(indices, coefficients, lower, upper)
-        tiny = np.abs(coefficients) <= TINY_COEFFICIENT
-        if tiny.any():
+        size = np.abs(coefficients)
+        if size.min(initial=np.inf) <= TINY_COEFFICIENT:
+            tiny = size <= TINY_COEFFICIENT
             left_out = indices[tiny]
-            most = np.abs(coefficients[tiny]) * np.maximum(np.abs(self.lower[left_out]), np.abs(self.upper[left_out]))
+            most = size[tiny] * np.maximum(np.abs(self.lower[left_out]), np.abs(self.upper[left_out]))
             slack = most[np.isfinite(most)].sum()
             indices = indices[~tiny]
             coefficients = coefficients[~tiny]

@@ -21,7 +21,7 @@ from ..analysis.safe_set import SafeSet, safe_set
 from ..analysis.terminal_set import TerminalSet, terminal_set
 from ..arithmetic.rational import fractions
 from ..certificate.writer import Certificate, make
-from ..checks import require_kind
+from ..checks import require_bools, require_kind
 from ..engines import exact
 from ..sets.polytope import Polytope
 from ..systems.loop import ClosedLoop
@@ -154,6 +154,7 @@ def analyse(
         If the case has no safe set.
     """
     require_kind(case, CaseStudy, "case")
+    require_bools(progress=progress)
     seconds: dict[str, float] = {}
     loop = case.loop
     with _timed(seconds, "safe_set"):

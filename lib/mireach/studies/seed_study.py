@@ -20,7 +20,7 @@ from ..analysis.maximal_set import maximal_safe_set
 from ..analysis.safe_set import SafeSet, safe_set
 from ..analysis.terminal_set import terminal_set
 from ..certificate.writer import write
-from ..checks import whole_number
+from ..checks import require_bools, whole_number
 from ..engines.cells import cells
 from ..errors import CorruptFileError, MireachError, MissingExtraError
 from ..files import END, PART, read_json, write_json, write_whole
@@ -147,6 +147,7 @@ def study(
     ValueError
         If there is no such case.
     """
+    require_bools(progress=progress)
     chosen = list(dict.fromkeys(map(int, seeds)))
     store = None if keep is None else _Store(Path(keep), _origin(name, training))
     finished = {} if store is None else store.load(chosen)
@@ -265,6 +266,7 @@ def reanalyse(name: str, jobs: int = -1, folder: str | Path | None = None, *, pr
     """
     rows, networks = load_study(name)
     columns = in_parallel(_maximal_of, [(name, networks[row.seed]) for row in rows], jobs)
+    require_bools(progress=progress)
     shown = tqdm(columns, total=len(rows), desc="seeds", unit="network", disable=not progress)
     rows = [replace(row, **maximal) for row, maximal in zip(rows, shown)]
     path = Path(folder or data_file(name, "")) / "seeds.csv"
