@@ -498,6 +498,8 @@ def move_trees(content, rng):
 def move_image(content, rng):
     """From and to swapped, other numbers, an image that is not there or stands there twice."""
     images = content["cases"]["images"]
+    if not images:
+        return
     image = images[rng.integers(len(images))]
     change = rng.integers(4)
     if change == 0:
@@ -766,7 +768,7 @@ class Oracle:
 
     def error_set(self):
         """`prove_error`, and errors at random points."""
-        if self.beyond_floats:
+        if self.beyond_floats or not corners_of(rows_of(self.system["input_set"])):
             return True
         X, U = self.X, polytope(self.system["input_set"])
         components = [

@@ -635,11 +635,8 @@ def test_sets_may_have_any_size_and_place(n, scale):
     assert_consistent(checker.polytope(rows, "it", free), rows)
     rows = [(tuple(entry * scale for entry in a), b) for a, b in cube(n)]
     assert_consistent(checker.polytope(rows, "it", free), rows)
-    rows = exact(
-        [([-1] + [0] * (n - 1), 0), *(([1] + [-1000 * (i == j) for j in range(1, n)], 1) for i in range(1, n))]
-    )
-    rows += [row for row in cube(n, 5) if row[0][0] == 0] if n > 1 else exact([([1], 10**6)])
-    rows += exact([([1] + [0] * (n - 1), 1e300)])  # the corners are far from where the rows start
+    rows = cube(n, 0)[n:] + exact([([0] * (n - 1) + [1], 5)])  # x >= 0, x_n <= 5, x_i <= 1000 x_(i+1) + 1
+    rows += exact([([int(i == j) - 1000 * (i + 1 == j) for j in range(n)], 1) for i in range(n - 1)])
     assert_consistent(checker.polytope(rows, "it", free), rows)
 
 
@@ -867,7 +864,7 @@ def test_a_proof_by_cases_is_followed_node_by_node():
         [[0, 1], *ABS[1:]],  # neurons that there are not
         [[1, 0], *ABS[1:]],
         [[0, 1e300], *ABS[1:]],
-        [[0, 0], [1, 9, 1], [1, 2, 1]],  # limits that there are not
+        [[0, 0], [1, 5, 1], [1, 2, 1]],  # limits that there are not
         [[0, 0], [1, 1e300, 1], [1, 2, 1]],
         [[0, 0], [], [1, 2, 1]],  # nodes of an even length
         [[0, 0], [1, 0, 1, 0], [1, 2, 1]],
@@ -920,6 +917,31 @@ def test_cases_of_a_mode_know_its_region_and_u():
     value["system"]["state_set"] = box(2.0)  # F_max is a half of X: the box of F_max counts, not that of X
     value["system"]["input_set"]["h"] = [2.0, 2.0]
     assert verdict(by_cases(value, inputs, [(0, 0, [[tree["x1"], [1]], *[[[1], [1]]] * 3])])) == "proven"
+
+
+def test_every_mode_has_a_region_of_its_own_in_a_proof_by_cases():
+    """x+ = x + (1, 0) where x1 <= 0, which row 5 says, the first of the region."""
+    left = mode(A=((1.0, 0.0), (0.0, 0.0)), p=(1.0, 0.0), region=((1.0, 0.0, 0.0), 0.0))
+    anywhere = {**left, "region": mode()["region"]}
+    tree, rest = [1, 4, 1], [[[1], [1]]] * 3
+    assert verdict(by_cases(content(mode(), left), [ONE, ONE], [(0, 0, [[[1], tree], *rest])])) == "proven"
+    assert verdict(by_cases(content(left, anywhere), [ONE, ONE], [(0, 0, [[tree, tree], *rest])])) == "not checked"
+
+
+def test_a_proof_by_cases_is_about_one_set_after_the_other():
+    """The last set is larger than the one before along x2, and not RPI for that."""
+    value = content(mode(A=((0.0, 0.9), (0.9, 0.0))), later=[(0.9,) * 4, (0.82, 1.0, 0.82, 1.0)])
+    images = [(k, j, [ONE] * 4) for k, j in ((0, 0), (0, 1), (1, 2), (2, 2))]
+    found = check(by_cases(value, [ONE, ONE], images))
+    assert found["sequence"].verdict == "proven" and found["terminal_set"].verdict == "not checked"
+
+
+def test_only_rows_of_one_coordinate_cut_the_box_of_a_proof_by_cases():
+    """x1 - x2 <= 0 does not limit x1; x+ = x + (1/2, 0) leaves the square."""
+    value = content(mode(A=((1.0, 0.0), (0.0, 1.0)), p=(0.5, 0.0)), F=(1.0, 1.0, 1.0, 1.0, 0.0))
+    value["template"] = [*SQUARE, [1.0, -1.0]]
+    found = check(by_cases(value, [ONE, ONE], [(0, 0, [ONE] * 5)]))["safe_set"]
+    assert found.verdict == "not checked" and "row 1 of F_max" in found.reason
 
 
 def test_the_states_that_attain_the_criterion_are_replayed():
@@ -1101,13 +1123,15 @@ def test_a_template_has_no_row_of_zeros():
 # -- hostile files ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [15, 3])
-def test_whatever_stands_in_whatever_place_is_refused_or_checked(seed):
+@pytest.mark.parametrize(
+    ("seed", "n", "proof", "only"), [(15, 2, None, ()), (3, 2, None, ("claims", "plant")), (1, 1, "cases", ("cases",))]
+)
+def test_whatever_stands_in_whatever_place_is_refused_or_checked(seed, n, proof, only):
     """`outcome` lets no other exception than Malformed pass."""
-    text = random_certificate(seed)
+    text = random_certificate(seed, n, proof)
     known = outcome(text)[0]
     for number, path in enumerate(nodes(json.loads(text))):
-        if seed == 3 and path[0] not in ("claims", "plant"):  # the rest of it has been in the other
+        if only and path[0] not in only:  # the rest of it has been in the first
             continue
         for strange in STRANGE:
             value = json.loads(text)

@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from certificates import contracted, corners_of, false_claims, growth_of, random_certificate
-from loops import affine_loop, exact_input, exactly_inside, random_loop
+from loops import affine_loop, exact_input, exactly_inside, jump_loop, random_loop
 
 import mireach as mr
 from mireach import certificate
@@ -300,6 +300,15 @@ def test_sets_that_are_too_small_have_a_step_in_a_certificate_by_cases(n):
     x, d, after = ([Fraction(value) for value in claim["witness"][key]] for key in ("state", "disturbance", "after"))
     assert all(abs(entry) <= Fraction(0.5) for entry in x) and max(map(abs, after)) > Fraction(0.5)
     assert after == [entry / 2 + e for entry, e in zip(x, d)] and all(abs(e) <= Fraction(0.3) for e in d)
+
+
+def test_a_step_in_a_certificate_by_cases_names_the_mode_that_acts():
+    loop = jump_loop([0.0, 0.0], [3.0, 0.0])
+    safe = mr.safe_set(loop, mr.box_directions(2))
+    made = certificate.make(loop, with_set(safe, np.full(4, 2.0)), proof="cases")
+    witness = made.content["claims"]["safe_set"]["witness"]
+    assert made.report["safe_set"].verdict == "refuted" and made.report["safe_set"].witness == witness
+    assert witness["mode"] == 2 and Fraction(witness["state"][0]) >= 1 and witness["after"] == ["3", "0"]
 
 
 @pytest.mark.parametrize("seed", range(10))
