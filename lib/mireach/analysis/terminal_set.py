@@ -176,7 +176,7 @@ def terminal_set(
     if criterion:
         reason = f"eq. (25), TerminationFmin, holds at k = {k}"
     elif stagnant:
-        reason = _stagnation(k, c, same, constant, isinstance(centre, str) and centre == "origin")
+        reason = _stagnation(k, c, bool(same), bool(constant), isinstance(centre, str) and centre == "origin")
     else:
         reason = f"max_steps = {max_steps} came first"
     alpha = alphas[-1]
