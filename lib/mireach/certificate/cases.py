@@ -87,7 +87,8 @@ class CaseProver:
     def __init__(self, loop: ClosedLoop, C: Array, content: dict[str, Any]) -> None:
         self._loop, self._C = loop, C
         self._certificate = checker.Certificate.of(checker.parse(json.dumps(content)))
-        self._check = checker.Claims(self._certificate, checker.Budget(inf)).cases
+        self._clock = checker.Budget(inf)
+        self._check = checker.Claims(self._certificate, self._clock).cases
         self._directions = [row for row, _ in self._certificate.sets[0]]
         self._programs: dict[Any, _Relaxation] = {}
         self._images: dict[tuple[bytes, bytes], ImageProof] = {}
@@ -111,7 +112,7 @@ class CaseProver:
         """Pairs (claim, witness): an exact state or step against a claim whose proof does not hold, if one is found."""
         for one, (a, b) in zip(self._inputs, self._certificate.input_set):
             for x in () if one.state is None else _pulled(one.state, self._loop.system.state_set):
-                beyond = checker.dot(a, self._certificate.network(x)) > b
+                beyond = checker.dot(a, self._certificate.network(x, self._clock)) > b
                 if beyond and all(checker.dot(c, x) <= limit for c, limit in self._certificate.state_set):
                     yield "inputs", {"state": checker.texts(x)}
                     break

@@ -85,7 +85,7 @@ KINDS = {  # of proof, by what is counted in it
 SECONDS = 600  # after which the rest is "not checked"
 MOST_BYTES = 6_000_000  # of a file
 MOST_LEVELS = 20  # of lists and objects in one another
-MOST_COMMAS = 1_000_000  # of a file, which limits the number of its entries
+MOST_COMMAS = 500_000  # of a file, which limits the number of its entries
 MOST_ENTRIES = 2_000  # of one list
 MOST_REMEMBERED = 100_000  # supports of disturbance sets
 MOST_MEMORY = 300_000_000  # bytes of whole numbers that are held at once, see `bytes_of`
@@ -481,12 +481,12 @@ class Network:
     def inputs(self) -> int:
         return len((self.hidden[0][0] if self.hidden else self.output)[0]) - 1
 
-    def __call__(self, x: Sequence[Fraction]) -> Row:
+    def __call__(self, x: Sequence[Fraction], clock: Budget) -> Row:
         """Phi(x) of fractions, from its definition."""
         for rows, pool in self.hidden:
-            z = affine(rows, x)
+            z = affine(rows, x, clock)
             x = [max(z[i : i + pool]) for i in range(0, len(z), pool)]
-        return tuple(affine(self.output, x))
+        return tuple(affine(self.output, x, clock))
 
 
 @dataclass(frozen=True)
@@ -639,10 +639,14 @@ def whole(row: Iterable[Fraction]) -> tuple[tuple[int, ...], int]:
     return tuple(entry.numerator * (unit // entry.denominator) for entry in row), unit
 
 
-def affine(rows: Iterable[Row], x: Sequence[Fraction]) -> list[Fraction]:
+def affine(rows: Iterable[Row], x: Sequence[Fraction], clock: Budget) -> list[Fraction]:
     """b + w x for each row (b, w) of fractions, reduced once per row."""
     x, unit = whole((Fraction(1), *x))
-    return [Fraction(dot(row, x), own * unit) for row, own in map(whole, rows)]
+    found = []
+    for row, own in map(whole, rows):
+        clock()
+        found.append(Fraction(dot(row, x), own * unit))
+    return found
 
 
 def half_space(a: Row, b: Fraction) -> Form:
@@ -743,8 +747,8 @@ def polytope(rows: Rows, where: str, clock: Budget) -> Polytope:
     """
     forms = [half_space(a, b) for a, b in rows]
     n = len(forms[0]) - 1
-    clock.hold(n * n * n)
     most = max(1, *(abs(entry) for form in forms for entry in form[1:]))
+    clock.hold((n + 1) ** 2 * (32 + n * (most.bit_length() + n.bit_length()) // 8))
     r = factorial(n) * most ** (n - 1) * max(abs(form[0]) for form in forms) + 1
     ends = [(-r,) * n] + [(*(-r,) * i, (2 * n - 1) * r, *(-r,) * (n - 1 - i)) for i in range(n)]
     every = (1 << n + 1) - 1
@@ -799,10 +803,14 @@ def uncovered(P: Polytope, regions: Iterable[Sequence[Form]], clock: Budget) -> 
 # -- the loop -----------------------------------------------------------------------------------------
 
 
-def over_one_unit(rows: Iterable[Row]) -> tuple[list[tuple[int, ...]], int]:
+def over_one_unit(rows: Iterable[Row], clock: Budget) -> tuple[list[tuple[int, ...]], int]:
     """Rows of fractions as rows of whole numbers over one unit: rows, unit."""
     rows = list(rows)
-    unit = lcm(*(entry.denominator for row in rows for entry in row))
+    unit = 1
+    for row in rows:
+        clock()
+        unit = lcm(unit, *(entry.denominator for entry in row))
+    clock.hold(sum(32 + (unit.bit_length() + entry.numerator.bit_length()) // 8 for row in rows for entry in row))
     return [tuple(entry.numerator * (unit // entry.denominator) for entry in row) for row in rows], unit
 
 
@@ -867,7 +875,7 @@ def affine_pieces(network: Network, domain: Polytope, clock: Budget) -> list[Pie
     """Polytopes that cover the domain, each with the forms of Phi on it and their unit: list of triples."""
     pieces: list[Piece] = [(domain, axes(network.inputs), 1)]
     for fractions, pool in network.hidden:
-        rows, own = over_one_unit(fractions)
+        rows, own = over_one_unit(fractions, clock)
         following, size = [], 0
         for P, forms, unit in pieces:
             channels = combined(rows, forms, unit, clock, size)
@@ -887,7 +895,7 @@ def affine_pieces(network: Network, domain: Polytope, clock: Budget) -> list[Pie
                 size += bytes_of(part, won)
                 clock.hold(size)
         pieces = following
-    rows, own = over_one_unit(network.output)
+    rows, own = over_one_unit(network.output, clock)
     found, size = [], 0
     for P, forms, unit in pieces:
         found.append((P, combined(rows, forms, unit, clock, size), unit * own))
@@ -958,7 +966,7 @@ def case_of(network: Network, box: Grid, choices: Choices, clock: Budget) -> Cas
     still_open: dict[tuple[int, int], int] = {}
     size = 0
     for layer, (fractions, pool) in enumerate(network.hidden):
-        rows, own = over_one_unit(fractions)
+        rows, own = over_one_unit(fractions, clock)
         channels = combined(rows, forms, unit, clock, size)
         unit *= own
         forms = []
@@ -986,7 +994,7 @@ def case_of(network: Network, box: Grid, choices: Choices, clock: Budget) -> Cas
                 forms.append(y)
             size += bytes_of(form for form, _ in limits[known:])
             clock.hold(size)
-    rows, own = over_one_unit(network.output)
+    rows, own = over_one_unit(network.output, clock)
     outputs = combined(rows, forms, unit, clock, size)
     return Case(box, limits, still_open, [*axes(network.inputs, unit * own), *outputs], unit * own)
 
@@ -1178,7 +1186,7 @@ class Claims:
                 excess = combine(half_space(a, b), forms, unit)
                 for x in P:
                     if at(excess, x) > 0:
-                        u = self.certificate.network(point(x))
+                        u = self.certificate.network(point(x), self._clock)
                         by = about(dot(a, u) - b)
                         return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U by {by}", state(point(x)))
         return proven(CLAIMS["inputs"])
@@ -1378,7 +1386,7 @@ class Claims:
         cells: list[Cell] = []
         gap, size = None, 0
         modes = self.certificate.modes
-        maps = [over_one_unit(mode.rows) for mode in modes]
+        maps = [over_one_unit(mode.rows, self._clock) for mode in modes]
         regions = []
         for mode in modes:
             self._clock()
@@ -1419,7 +1427,7 @@ class Claims:
 
     def _why_none(self, x: Row) -> str:
         """Why a state of X has no successor."""
-        u = self.certificate.network(x)
+        u = self.certificate.network(x, self._clock)
         if all(dot(a, u) <= b for a, b in self.certificate.input_set):
             return "no region contains it with its input"
         return f"its input u = {show(u)} lies outside U"
@@ -1607,7 +1615,7 @@ class Claims:
 
     def _replay(self, k: int, number: int, x: Row, d: Row) -> Row | None:
         """A x + B Phi(x) + p + d from the definition; None if x is not in R_k, or the mode does not act there."""
-        mode, u = self.certificate.modes[number], self.certificate.network(x)
+        mode, u = self.certificate.modes[number], self.certificate.network(x, self._clock)
         z = (*x, *u)
         limits = (self.sets[k], x), (self.certificate.state_set, x), (self.certificate.input_set, u), (mode.region, z)
         if any(dot(a, value) > b for rows, value in limits for a, b in rows):
