@@ -714,7 +714,7 @@ def test_pieces_cover_the_domain_with_what_the_network_says(n, flat):
             holding = [piece for piece in pieces if is_in(piece[0], x)]
             assert holding
             for _, forms, unit in holding:
-                assert Fraction(checker.at(forms[0], corner), unit * 4) == net(x)[0]
+                assert Fraction(checker.at(forms[0], corner), unit * 4) == net(x, free)[0]
 
 
 def small_network(rng, n, pool, layers=2):
@@ -783,7 +783,7 @@ def test_a_case_holds_every_state_in_which_its_channels_win(n, pool):
             z = values_of(case, net, x)
             assert all(dot(form, z) <= 0 for form, _ in case.limits)
             assert all(low <= value * grid <= high for (low, high), value in zip(case.box, z, strict=True))
-            assert [Fraction(dot(form, z), case.unit) for form in case.z] == [*x, *net(x)]
+            assert [Fraction(dot(form, z), case.unit) for form in case.z] == [*x, *net(x, free)]
             assert set(case.open) <= set(won) - set(chosen)
 
 

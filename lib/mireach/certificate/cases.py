@@ -203,7 +203,7 @@ class CaseProver:
                 if bound is None:
                     raise SolverError("HiGHS found no bound in a case")
             if bound > excess:
-                excess, state = bound, None if z is None else z[: self._certificate.network.inputs]
+                excess, state = bound, None if z is None else z[: self._certificate.network.states]
             nodes.append(weights)
         return RowProof(nodes, excess, number, state)
 

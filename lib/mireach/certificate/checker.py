@@ -61,14 +61,14 @@ from typing import Any
 FORMAT, WITH_CASES, NETWORK = "mireach-certificate/1", "mireach-certificate/2", "mireach-network/1"
 CLAIMS = {
     "inputs": "Phi(x) lies in U for every x in X",
-    "safe_set": "F_max lies in X, every state of it has a successor, and it is RPI",
-    "sequence": "every R_(k+1) contains the image of R_k",
-    "terminal_set": "R_k is RPI and reached from all of F_max within `steps` = k steps",
+    "safe_set": "F_max is not empty and lies in X, and all of its states have successors, all in F_max: it is RPI",
+    "sequence": "every R_k before the last lies in F_max, and R_(k+1) contains its image",
+    "terminal_set": "the last R_k lies in F_max, is RPI, and contains the state k = `steps` steps after any in F_max",
     "criterion": "eq. (25), TerminationFmin, about `centre` with `epsilon`: `holds` or not",
     "theorem_1": "the largest alpha >= 0 with alpha R_k in R_(k-1), about `centre`, is `alpha`, null if the centre is "
-    "not inside R_k or not in R_(k-1); R_k is `stable` if alpha > 1",
+    "not inside R_k or not in R_(k-1); R_k is not empty, and `stable` if alpha > 1",
     "error_set": "f - f_PWA lies in D for every x in X and u in U",
-    "theorem_2": "the plant is ultimately bounded in the terminal set, uniformly in F_max",
+    "theorem_2": "the origin is inside R_k, and the plant is ultimately bounded in R_k, uniformly in F_max",
 }
 OF_SEQUENCE, OF_PLANT = ("sequence", "terminal_set", "criterion", "theorem_1"), ("error_set", "theorem_2")
 VERDICTS = ("proven", "bounded", "not proven")  # what a certificate says itself; bounded: by a solver, not in the plane
@@ -478,7 +478,7 @@ class Network:
         return tuple((b, *row) for row, b in zip(weight, vector(bias, where, len(weight))))
 
     @property
-    def inputs(self) -> int:
+    def states(self) -> int:
         return len((self.hidden[0][0] if self.hidden else self.output)[0]) - 1
 
     def __call__(self, x: Sequence[Fraction], clock: Budget) -> Row:
@@ -504,7 +504,7 @@ class Certificate:
 
     def acting(self, mode: Mode) -> list[HalfSpace]:
         """The rows of (x, u) where a mode acts, besides x in X."""
-        none = (Fraction(0),) * self.network.inputs
+        none = (Fraction(0),) * self.network.states
         return [*mode.region, *(((*none, *a), b) for a, b in self.input_set)]
 
     @staticmethod
@@ -517,7 +517,7 @@ class Certificate:
             content, "the certificate", keys, ("digest", "plant", *other)
         )
         network = Network.of(network)
-        n, m = network.inputs, len(network.output)
+        n, m = network.states, len(network.output)
         modes, state_set, input_set = fields(system, "the system", ("modes", "state_set", "input_set"))
         if not isinstance(modes, list) or not 0 < len(modes) <= MOST_ENTRIES or not n:
             raise Malformed("the system should have a list of modes and at least one state")
@@ -588,7 +588,11 @@ def read_plant(value: Any, n: int, size: int) -> tuple[Polynomial, ...]:
 
 @dataclass(frozen=True)
 class Cases:
-    """Trees of cases, see `CaseCheck.holds`.
+    """A proof by cases.
+
+    A tree is a list of nodes in the order in which they are visited; for an image it has a part for every mode, one
+    after the other. A node of two entries (layer, neuron) splits a case; any other has an odd number of entries, the
+    weights of a `bound`. See `CaseCheck.holds`.
 
     inputs      a tree for every row of U
     images      {(k, j): a tree for every row of R_j}, for the image of R_k
@@ -873,7 +877,7 @@ def winners(P: Polytope, channels: Sequence[Form], clock: Budget) -> Iterator[tu
 
 def affine_pieces(network: Network, domain: Polytope, clock: Budget) -> list[Piece]:
     """Polytopes that cover the domain, each with the forms of Phi on it and their unit: list of triples."""
-    pieces: list[Piece] = [(domain, axes(network.inputs), 1)]
+    pieces: list[Piece] = [(domain, axes(network.states), 1)]
     for fractions, pool in network.hidden:
         rows, own = over_one_unit(fractions, clock)
         following, size = [], 0
@@ -996,7 +1000,7 @@ def case_of(network: Network, box: Grid, choices: Choices, clock: Budget) -> Cas
             clock.hold(size)
     rows, own = over_one_unit(network.output, clock)
     outputs = combined(rows, forms, unit, clock, size)
-    return Case(box, limits, still_open, [*axes(network.inputs, unit * own), *outputs], unit * own)
+    return Case(box, limits, still_open, [*axes(network.states, unit * own), *outputs], unit * own)
 
 
 def open_limits(neuron: Sequence[Form], leads: Sequence[int], y: Form, unit: int, grid: int) -> Iterator[Limit]:
@@ -1082,7 +1086,7 @@ class CaseCheck:
         """a x+ + h(a) - b in a mode, h the support function of its D, or a u - b: a form of (x, u), and its unit."""
         a, b = row
         if number is None:
-            return whole((-b, *((Fraction(0),) * self.certificate.network.inputs), *a))
+            return whole((-b, *((Fraction(0),) * self.certificate.network.states), *a))
         if (number, a) not in self._spread:
             self._spread[number, a] = max(dot(a, d) for d in self._disturbances[number])
         constant, *linear = (dot(a, column) for column in zip(*self.certificate.modes[number].rows))
@@ -1176,7 +1180,7 @@ class Claims:
         return tuple(self.found.values())
 
     def inputs(self, claim: Claim) -> Finding:
-        """No row a u - b of U is positive in a corner of a piece, where it is largest; if U is empty, one is."""
+        """No row a u - b of U is positive in a corner of a piece, where it is largest; for an empty U one is."""
         if self.certificate.cases is not None:
             return self._by_cases(self.certificate.cases.inputs, None, 0) or proven(CLAIMS["inputs"])
         for P, forms, unit in self._pieces:
@@ -1435,7 +1439,7 @@ class Claims:
     def _beyond(self, k: int) -> Finding | None:
         """None if R_k lies in F_max and in X, where the cells are; an empty R_k does.
 
-        Most often R_k has the same rows with smaller offsets, and no corner is needed.
+        Most often R_k has a row a x <= b' with b' <= b, which is enough: each of its rows holds for all of R_k.
         """
         own = dict(self.sets[k])
         for place, rows in (("F_max", self.sets[0]), ("X", self.certificate.state_set)):
@@ -1615,10 +1619,10 @@ class Claims:
 
     def _replay(self, k: int, number: int, x: Row, d: Row) -> Row | None:
         """A x + B Phi(x) + p + d from the definition; None if x is not in R_k, or the mode does not act there."""
-        mode, u = self.certificate.modes[number], self.certificate.network(x, self._clock)
-        z = (*x, *u)
-        limits = (self.sets[k], x), (self.certificate.state_set, x), (self.certificate.input_set, u), (mode.region, z)
-        if any(dot(a, value) > b for rows, value in limits for a, b in rows):
+        if any(dot(a, x) > b for a, b in (*self.sets[k], *self.certificate.state_set)):
+            return None
+        mode, z = self.certificate.modes[number], (*x, *self.certificate.network(x, self._clock))
+        if any(dot(a, z) > b for a, b in self.certificate.acting(mode)):
             return None
         return tuple(dot(row, (1, *z)) + e for row, e in zip(mode.rows, d))
 
