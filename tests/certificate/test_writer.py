@@ -396,6 +396,23 @@ def test_a_plant_with_narrower_limits_says_nothing_about_the_loop():
 # -- arguments ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("x", "verdict"),
+    [(["1", "-1"], "refuted"), (["1/3", "-1/3"], "refuted"), (["0", "0"], "not checked"), (["2", "0"], "not checked")],
+)
+def test_a_state_in_the_file_refutes_inputs_by_cases_if_it_does(x, verdict):
+    U = mr.Polytope.box([-2], [2])
+    mode = mr.Mode(0.3 * np.eye(2), [[0.1], [0.1]], [0, 0], square(1).product(U), square(0.01))
+    hidden = mr.Layer([[1.0, -1.0], [0.0, 0.0]], [0.1, 0.0], 2)
+    loop = mr.ClosedLoop(mr.PWASystem([mode], square(1), U), mr.MaxoutNetwork([hidden], [[0.7]], [0.0]))
+    made = certificate.make(loop, mr.safe_set(loop), proof="cases")
+    assert made.report["inputs"].verdict == "proven"  # u = 0.7 max(x1 - x2 + 0.1, 0) lies between 0 and 1.47
+    made.content["system"]["input_set"]["h"] = [0.5, 0.5]
+    made.content["claims"]["inputs"] = {"verdict": "not proven", "witness": {"state": x}}
+    found = checker.check(checker.parse(json.dumps(made.content)))["inputs"]
+    assert found.verdict == verdict and found.witness == ({"state": x} if verdict == "refuted" else None)
+
+
 def test_arguments_are_checked():
     loop = affine_loop(0.5 * np.eye(2))
     safe = mr.safe_set(loop)
@@ -414,6 +431,8 @@ def test_arguments_are_checked():
     assert none.set is None
     with pytest.raises(ValueError, match="no safe set"):
         certificate.make(loop, none)
+    with pytest.raises(ValueError, match='proof must be "cells", "cases" or None'):
+        certificate.make(loop, safe, proof="case")
 
 
 @pytest.mark.parametrize("seed", range(6))

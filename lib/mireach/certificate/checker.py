@@ -71,7 +71,7 @@ CLAIMS = {
     "theorem_2": "the origin is inside R_k, and the plant is ultimately bounded in R_k, uniformly in F_max",
 }
 OF_SEQUENCE, OF_PLANT = ("sequence", "terminal_set", "criterion", "theorem_1"), ("error_set", "theorem_2")
-VERDICTS = ("proven", "bounded", "not proven")  # what a certificate says itself; bounded: by a solver, not in the plane
+VERDICTS = ("proven", "bounded", "not proven")  # what a certificate says itself; bounded: by a solver, in older files
 
 KINDS = {  # of proof, by what is counted in it
     "pieces": "cells",
@@ -1182,7 +1182,8 @@ class Claims:
     def inputs(self, claim: Claim) -> Finding:
         """No row a u - b of U is positive in a corner of a piece, where it is largest; for an empty U one is."""
         if self.certificate.cases is not None:
-            return self._by_cases(self.certificate.cases.inputs, None, 0) or proven(CLAIMS["inputs"])
+            found = self._by_cases(self.certificate.cases.inputs, None)
+            return proven(CLAIMS["inputs"]) if found is None else self._claimed_state(claim) or found
         for P, forms, unit in self._pieces:
             self._work["pieces"] += 1
             for a, b in self.certificate.input_set:
@@ -1190,9 +1191,7 @@ class Claims:
                 excess = combine(half_space(a, b), forms, unit)
                 for x in P:
                     if at(excess, x) > 0:
-                        u = self.certificate.network(point(x), self._clock)
-                        by = about(dot(a, u) - b)
-                        return refuted(f"x = {show(point(x))} gives u = {show(u)}, outside U by {by}", state(point(x)))
+                        return self._input_outside(point(x), self.certificate.network(point(x), self._clock), (a, b))
         return proven(CLAIMS["inputs"])
 
     def safe_set(self, claim: Claim) -> Finding:
@@ -1572,6 +1571,24 @@ class Claims:
         )
         after = self._replay(self.last, number, x, d) if d and all(dot(a, x) <= b for a, b in S) else None
         return after is not None and dot(self._C[r], after) >= level
+
+    def _claimed_state(self, claim: Claim) -> Finding | None:
+        """The state of the claim's witness, if it lies in X and its input outside U."""
+        try:
+            (value,) = fields(claim["witness"], "the witness", ("state",))
+            x = vector(value, "a witness", self.n, fraction)
+        except Malformed:
+            return None
+        if any(dot(a, x) > b for a, b in self.certificate.state_set):
+            return None
+        u = self.certificate.network(x, self._clock)
+        beyond = [row for row in self.certificate.input_set if dot(row[0], u) > row[1]]
+        return self._input_outside(x, u, beyond[0]) if beyond else None
+
+    def _input_outside(self, x: Row, u: Row, row: HalfSpace) -> Finding:
+        """What is said of a state whose input lies beyond a row of U."""
+        by = about(dot(row[0], u) - row[1])
+        return refuted(f"x = {show(x)} gives u = {show(u)}, outside U by {by}", state(x))
 
     def _claimed_step(self, k: int, j: int, claim: Claim) -> Finding | None:
         """The step of the claim's witness, if it leads from R_k out of R_j."""

@@ -129,7 +129,8 @@ def make(
     TypeError
         If an argument is of another kind.
     ValueError
-        If there is no safe set, the terminal set does not start from it or has no steps, or f is not a polynomial.
+        If there is no safe set, the terminal set does not start from it or has no steps, f is not a polynomial, or
+        there is no such proof.
     CellLimitError
         If `proof` is "cells" and there are more than the exact engine keeps, or if a proof by cases becomes too long.
 
@@ -145,6 +146,8 @@ def make(
     one, a witness: a state of fractions without a successor, or a step that leads out of the set.
     """
     require_kind(loop, ClosedLoop, "loop")
+    if proof not in (None, "cells", "cases"):
+        raise ValueError(f'proof must be "cells", "cases" or None; got {proof!r:.60}')
     history = _history(safe, terminal)
     C = _template(loop, history)
     wanted = [_offsets(loop, R, C) for R in history]
